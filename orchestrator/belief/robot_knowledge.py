@@ -326,6 +326,10 @@ class RobotKnowledge:
             self._model = ResponseModel(self.tones, self.prior, common=common)
         return self._model
 
+    def forget_model(self) -> None:
+        """Forget the fitted belief, which takes about a megabyte, until it is asked for again."""
+        self._model = None
+
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
         """Predict the variances of a test's estimates from the earlier tests.
 

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from nufleet.orchestrator.fleet.heard_states import state_heard, states_heard
-from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S, Requests
+from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S, Reply, Requests
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import (
@@ -225,6 +225,10 @@ class Fleet:
         """Send a goal to a robot; the same request may safely be sent again at any time."""
         return self._requests.ask(robot, "goal", request, GoalAccepted)
 
+    def submit_later(self, robot: str, request: GoalRequest) -> Reply[GoalAccepted]:
+        """Send a goal as `submit` does, without waiting for the reply."""
+        return self._requests.ask_later(robot, "goal", request, GoalAccepted)
+
     def cancel(self, robot: str, goal_id: str) -> None:
         """Ask a robot to end a goal early."""
         sender, epoch = self.orchestrator_id, self.epoch(robot)
@@ -235,6 +239,13 @@ class Fleet:
         """Return how a goal ended, with its samples."""
         request = ResultRequest(goal_id=goal_id)
         return self._requests.ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
+
+    def result_later(self, robot: str, goal_id: str) -> Reply[GoalResult]:
+        """Ask for a result as `result` does, without waiting for the reply."""
+        request = ResultRequest(goal_id=goal_id)
+        return self._requests.ask_later(
+            robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S
+        )
 
     def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
         """Acknowledge results, so that the robot may discard them."""

@@ -1,4 +1,4 @@
-"""Runs the pursuits of many goals: one thread handles their events, others wait for answers.
+"""Runs the pursuits of many goals: one thread handles their events, and none waits for a reply.
 
 This module is the shell with all effects around `goal_pursuit`; it makes no decisions itself.
 """
@@ -10,6 +10,7 @@ import math
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,17 +20,26 @@ from nufleet.orchestrator.fleet import goal_events as events
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_events import Ask, Ended, Question
 from nufleet.orchestrator.fleet.goal_pursuit import Pursuit
+from nufleet.orchestrator.fleet.requests import Reply
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.errors import NufleetError, RefusedError
-from nufleet.shared.wire.messages import GoalAccepted, GoalRequest
+from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult
 
 TICK_S = 0.05
 """Interval at which pursuits are checked for deadlines, in s."""
 
+REPLIES_S = 0.002
+REPLIES_EACH_S = 1e-4
+"""Interval at which the replies to open questions are looked for, in s, and how much longer it is
+for each of them, so that looking takes about a hundredth of a processor at most."""
+
 _LOOK_S = 0.2
 
 ASKING_AT_ONCE = 256
-"""Number of questions that may wait for their answers at the same time."""
+"""Number of goals and results that may be asked for at the same time, and likewise of
+cancellations, which do not wait for these."""
+
+Answer = Reply[GoalAccepted] | Reply[GoalResult]
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +69,8 @@ class GoalLoop:
         self._fleet = fleet
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._askers = ThreadPoolExecutor(ASKING_AT_ONCE, thread_name_prefix="ask")
+        self._waiting: deque[tuple[_Run, Ask]] = deque()
+        self._open: list[tuple[_Run, Ask, Answer]] = []
         self._running: dict[Errand, _Run] = {}
         self._interrupted = False
         self._crash: BaseException | None = None
@@ -104,17 +116,21 @@ class GoalLoop:
     # The loop's thread.
 
     def _work(self) -> None:
-        tick_s = -math.inf
+        tick_s = replies_s = -math.inf
         while True:
-            left_s = tick_s - time.monotonic()
-            job: Callable[[], None] | None = self._tick
-            if left_s > 0:
+            now_s = time.monotonic()
+            job: Callable[[], None] | None
+            if tick_s <= now_s:
+                tick_s, job = now_s + TICK_S, self._tick
+            elif self._open and replies_s <= now_s:
+                replies_s = now_s + REPLIES_S + REPLIES_EACH_S * len(self._open)
+                job = self._take_replies
+            else:
+                until_s = min(tick_s, replies_s) if self._open else tick_s
                 try:
-                    job = self._inbox.get(timeout=left_s)
+                    job = self._inbox.get(timeout=until_s - now_s)
                 except queue.Empty:
                     continue
-            else:
-                tick_s = time.monotonic() + TICK_S
             if job is None:
                 break
             try:
@@ -133,7 +149,7 @@ class GoalLoop:
         )
 
     def _begin(self, errand: Errand) -> None:
-        run = self._running[errand] = _Run(self, self._fleet, errand, self._askers)
+        run = self._running[errand] = _Run(self, self._fleet, errand)
         run.begin()
         if self._interrupted:
             run.take(events.InterruptAsked())
@@ -148,6 +164,27 @@ class GoalLoop:
         for run in runs:
             self.post(partial(run.take, event))
 
+    def ask(self, run: _Run, ask: Ask) -> None:
+        """Ask a question, or let it wait until fewer of its kind are open."""
+        if ask.question is Question.CANCEL:
+            self._askers.submit(run.cancel, ask)
+        elif len(self._open) < ASKING_AT_ONCE:
+            self._open.append((run, ask, run.question(ask)))
+        else:
+            self._waiting.append((run, ask))
+
+    def _take_replies(self) -> None:
+        asked, self._open = self._open, []
+        for run, ask, answer in asked:
+            if not answer.over():
+                self._open.append((run, ask, answer))
+            elif answer.unsure():
+                self._askers.submit(run.answer, ask, answer.take)
+            else:
+                self.post(partial(run.answer, ask, answer.take))
+        while self._waiting and len(self._open) < ASKING_AT_ONCE:
+            self.ask(*self._waiting.popleft())
+
     def ended(self, errand: Errand, ended: Ended) -> None:
         """Report the end of an errand and forget it."""
         try:
@@ -159,13 +196,10 @@ class GoalLoop:
 class _Run:
     """One pursuit, with the network requests and callbacks that it causes."""
 
-    def __init__(
-        self, loop: GoalLoop, fleet: Fleet, errand: Errand, askers: ThreadPoolExecutor
-    ) -> None:
+    def __init__(self, loop: GoalLoop, fleet: Fleet, errand: Errand) -> None:
         self._loop = loop
         self._fleet = fleet
         self._errand = errand
-        self._askers = askers
         self._watch: RobotWatch = fleet.watch(errand.robot)
         self._unfollow: Callable[[], None] = lambda: None
         self._accepted = False
@@ -197,7 +231,7 @@ class _Run:
             return
         # Questions go out before the callbacks run: an error in a callback must not lose one.
         for ask in self.pursuit.take(event, time.monotonic()):
-            self._askers.submit(self._ask, ask)
+            self._loop.ask(self, ask)
         if self.pursuit.accepted is not None and not self._accepted:
             self._accepted = True
             self._errand.on_accepted(self.pursuit.accepted)
@@ -205,22 +239,37 @@ class _Run:
             self.leave()
             self._loop.ended(self._errand, self.pursuit.ended)
 
-    # The askers' threads.
+    def question(self, ask: Ask) -> Answer:
+        """Ask for what the robot makes of the goal, or for its result."""
+        try:
+            if ask.question is Question.GOAL:
+                return self._fleet.submit_later(self._errand.robot, self._errand.request)
+            return self._fleet.result_later(self._errand.robot, ask.goal_id)
+        except Exception as error:  # noqa: BLE001 - a question always has an end
+            return _failed(error)
 
-    def _ask(self, ask: Ask) -> None:
-        event = self._answer(ask)
+    # Any thread.
+
+    def cancel(self, ask: Ask) -> None:
+        """Ask the robot to end a goal, and wait for its answer."""
+        self.answer(ask, lambda: self._fleet.cancel(self._errand.robot, ask.goal_id))
+
+    def answer(self, ask: Ask, take: Callable[[], GoalAccepted | GoalResult | None]) -> None:
+        """Take the answer to a question, and handle it on the loop's thread."""
+        event = self._answer(ask, take)
         self._loop.post(lambda: self.take(event))
 
-    def _answer(self, ask: Ask) -> events.Event:
+    def _answer(
+        self, ask: Ask, take: Callable[[], GoalAccepted | GoalResult | None]
+    ) -> events.Event:
         robot = self._errand.robot
         try:
-            match ask.question:
-                case Question.GOAL:
-                    return events.Accepted(self._fleet.submit(robot, self._errand.request))
-                case Question.RESULT:
-                    return events.Fetched(self._fleet.result(robot, ask.goal_id))
-                case Question.CANCEL:
-                    self._fleet.cancel(robot, ask.goal_id)
+            match take():
+                case GoalAccepted() as accepted:
+                    return events.Accepted(accepted)
+                case GoalResult() as result:
+                    return events.Fetched(result)
+                case None:
                     return events.CancelTaken()
         except RefusedError as error:
             return events.Refused(ask.question, error)
@@ -230,3 +279,10 @@ class _Run:
         except Exception as error:  # noqa: BLE001 - a question always has an end
             _log.exception("a request to %s about %s failed", robot, ask.goal_id)
             return events.Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))
+
+
+def _failed(error: Exception) -> Answer:
+    def fail() -> GoalAccepted:
+        raise error
+
+    return Reply(lambda: True, fail)

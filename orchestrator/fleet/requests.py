@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import time
-from typing import TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.errors import (
+    MalformedMessageError,
+    NoReplyError,
+    RefusedError,
+    RobotLostError,
+)
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import READS, FleetKeys, principal_of
 from nufleet.shared.wire.messages import DescribeRequest, Refusal
@@ -14,6 +21,29 @@ from nufleet.shared.wire.session import Session
 QUERY_TIMEOUT_S = 3.0
 RESULT_TIMEOUT_S = 20.0
 R = TypeVar("R", bound=Message)
+
+
+@dataclass(frozen=True)
+class Asked(Generic[R]):
+    """A question to a robot."""
+
+    robot: str
+    leaf: str
+    request: Message
+    expected: type[R]
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class Reply(Generic[R]):
+    """A reply that may not have arrived yet; no thread waits for it."""
+
+    over: Callable[[], bool]
+    """Returns whether there is anything more to wait for; it takes microseconds."""
+    take: Callable[[], R]
+    """Returns the reply once it is over, or raises what `Requests.ask` raises."""
+    unsure: Callable[[], bool] = lambda: False
+    """Returns whether `take` has to ask further questions, to know why there is no reply."""
 
 
 class Requests:
@@ -43,27 +73,60 @@ class Requests:
         Raises:
             NoReplyError, RobotLostError, RefusedError, MalformedMessageError: See `Fleet`.
         """
-        key = self.key(robot, leaf)
         began_s = time.monotonic()
-        replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
+        question = Asked(robot, leaf, request, expected, timeout_s)
+        replies = self._session.ask_all(self.key(robot, leaf), encode(request), timeout_s=timeout_s)
+        return self._reply(question, replies, time.monotonic() - began_s)
+
+    def ask_later(
+        self,
+        robot: str,
+        leaf: str,
+        request: Message,
+        expected: type[R],
+        *,
+        timeout_s: float = QUERY_TIMEOUT_S,
+    ) -> Reply[R]:
+        """Ask as `ask` does, and return the reply, which has not arrived yet.
+
+        Raises:
+            TransportError: The request cannot be sent.
+        """
+        question = Asked(robot, leaf, request, expected, timeout_s)
+        replies = self._session.ask(self.key(robot, leaf), encode(request), timeout_s=timeout_s)
+        began_s = time.monotonic()
+
+        def reply() -> R:
+            return self._reply(question, replies.all(), time.monotonic() - began_s)
+
+        def unsure() -> bool:
+            return self._session.identity is not None and not replies.all()
+
+        return Reply(replies.over, reply, unsure)
+
+    def _reply(self, question: Asked[R], replies: list[bytes], waited_s: float) -> R:
+        """Return the one valid reply, or raise what is wrong; see `ask`."""
+        robot, leaf, request = question.robot, question.leaf, question.request
         if not replies:
-            gone = time.monotonic() - began_s < timeout_s
+            gone = waited_s < question.timeout_s
             if gone and self._denied(robot, leaf, request):
                 raise RefusedError("not-allowed", self._why_denied(leaf), robot)
-            raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
+            raise NoReplyError(
+                _no_reply(robot, leaf, request, None if gone else question.timeout_s)
+            )
         if len(replies) > 1:
             raise RobotLostError(
                 f"{len(replies)} agents answer as {robot}: stop all but one of them"
             )
         try:
-            reply = decode(replies[0], expected, Refusal)
+            reply = decode(replies[0], question.expected, Refusal)
         except MalformedMessageError as error:
             raise type(error)(
                 f"robot {robot} sent an invalid reply to {leaf!r}: {error}"
             ) from error
         if isinstance(reply, Refusal):
             raise RefusedError(reply.code, reply.reason, robot)
-        if not isinstance(reply, expected):
+        if not isinstance(reply, question.expected):
             raise MalformedMessageError(
                 f"robot {robot} sent an unexpected reply of type {type(reply).__name__}"
             )

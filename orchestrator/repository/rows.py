@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,10 @@ from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Name, Positive, Strict, describe_validation
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
+SPECS_KEPT = 1024
+"""Number of specs that need not be validated again, since every test of a robot asks for its own.
+"""
+
 _PLAN = TypeAdapter(StudyPlan)
 _OBJECT = TypeAdapter(dict[str, JsonValue])
 _ARCHITECTURE: TypeAdapter[Architecture] = TypeAdapter(Architecture)
@@ -49,9 +54,16 @@ def json_object(value: Mapping[str, JsonValue]) -> str:
 
 def robot_record(row: RowMapping) -> RobotRecord:
     """Return the robot in a row."""
-    with checked(f"robot {row['robot']}"):
-        spec = RobotSpec.model_validate_json(row["spec"])
-    return RobotRecord(row["fleet"], row["robot"], spec, row["boot_id"])
+    return RobotRecord(
+        row["fleet"], row["robot"], spec_of(row["robot"], row["spec"]), row["boot_id"]
+    )
+
+
+@lru_cache(SPECS_KEPT)
+def spec_of(robot: str, stored: str) -> RobotSpec:
+    """Return the spec of a robot from what is stored of it; raises DamagedRecordError."""
+    with checked(f"robot {robot}"):
+        return RobotSpec.model_validate_json(stored)
 
 
 def study_row(study: StudyRecord) -> dict[str, Any]:

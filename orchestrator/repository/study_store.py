@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import JsonValue
 from sqlalchemy import Connection, bindparam, or_, select
+from sqlalchemy.sql.dml import ReturningUpdate
 
 from nufleet.orchestrator.repository.array_blob import pack_array
 from nufleet.orchestrator.repository.database import Database
@@ -30,7 +31,7 @@ from nufleet.orchestrator.repository.rows import (
     matrix_row,
     response_record,
     response_row,
-    robot_record,
+    spec_of,
     study_record,
     study_row,
     trial_record,
@@ -112,22 +113,25 @@ class StudyStore:
             StaleEpochError: A later owner has taken over a trial.
             UnknownRecordError: There is no such study.
         """
+        if not intents:
+            return ()
+        rows = [{**intent_row(intent), "intended_at": utc_now()} for intent in intents]
         with self._database.write() as connection:
-            return tuple(_intend(connection, intent) for intent in intents)
+            if connection.execute(insert_new(connection, TRIALS), rows).rowcount == len(rows):
+                return tuple(TrialRecord(intent, TrialStatus.INTENDED) for intent in intents)
+            return tuple(_known_intent(connection, intent) for intent in intents)
 
     def accepted(self, accepted: GoalAccepted, *, epoch: int) -> None:
         """Store that a robot accepted a goal; raises TrialEndedError or StaleEpochError."""
 
         def work(connection: Connection) -> None:
-            known = _known(connection, accepted.goal_id, epoch)
-            if is_new_acceptance(known, accepted.boot_id):
-                _update(
-                    connection,
-                    accepted.goal_id,
-                    status=TrialStatus.ACCEPTED,
-                    boot_id=accepted.boot_id,
-                    plan=accepted.plan.model_dump_json(),
-                )
+            values = {
+                "status": TrialStatus.ACCEPTED,
+                "boot_id": accepted.boot_id,
+                "plan": accepted.plan.model_dump_json(),
+            }
+            if _change(connection, _ACCEPT, accepted.goal_id, epoch, values) is None:
+                is_new_acceptance(_known(connection, accepted.goal_id, epoch), accepted.boot_id)
 
         self._database.write_together(work)
 
@@ -145,11 +149,12 @@ class StudyStore:
         """
 
         def work(connection: Connection) -> None:
-            known = _known(connection, goal_id, epoch)
-            if is_new_end(known, end.status):
-                _update(connection, goal_id, ended_at=utc_now(), **end_columns(end))
-                if end.result is not None:
-                    _keep(connection, known, end.result, end.response)
+            values = {"ended_at": utc_now(), **end_columns(end)}
+            changed = _change(connection, _END, goal_id, epoch, values)
+            if changed is None:
+                is_new_end(_known(connection, goal_id, epoch), end.status)
+            elif end.result is not None:
+                _keep(connection, *changed, end.result, end.response)
 
         self._database.write_together(work)
 
@@ -226,10 +231,8 @@ _RESPONSES = (
 )
 
 
-def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
-    row = {**intent_row(intent), "intended_at": utc_now()}
-    if connection.execute(insert_new(connection, TRIALS), row).rowcount == 1:
-        return TrialRecord(intent, TrialStatus.INTENDED)
+def _known_intent(connection: Connection, intent: TrialIntent) -> TrialRecord:
+    """Return the trial of an intent, which was there before or has just been stored."""
     known = _locked(connection, intent.goal_id)
     if known is None:
         raise RecordConflictError(
@@ -237,7 +240,7 @@ def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
             f"iteration {intent.iteration}, under an id other than {intent.goal_id}"
         )
     check_same_intent(known, intent)
-    _update(connection, intent.goal_id, epoch=intent.epoch)
+    connection.execute(_UPDATE, {"id": intent.goal_id, "epoch": intent.epoch})
     return TrialRecord(intent, known.status, known.boot_id, known.plan)
 
 
@@ -255,18 +258,31 @@ def _known(connection: Connection, goal_id: str, epoch: int) -> TrialRecord:
     return known
 
 
-def _update(connection: Connection, goal_id: str, **values: Any) -> None:
-    connection.execute(_UPDATE, {"id": goal_id, **values})
+def _change(
+    connection: Connection,
+    statement: ReturningUpdate[tuple[str, str]],
+    goal_id: str,
+    epoch: int,
+    values: Mapping[str, Any],
+) -> tuple[str, str] | None:
+    """Change a trial and return its study and robot; None, without a change, if it may not be.
+
+    This is nearly always all there is to do. Which rule of `trial_rules` it would break is found
+    out only then, since reading a trial takes several times as long.
+    """
+    row = connection.execute(statement, {"id": goal_id, "by": epoch, **values}).one_or_none()
+    return None if row is None else (row.study_id, row.robot)
 
 
 def _keep(
     connection: Connection,
-    known: TrialRecord,
+    study_id: str,
+    robot: str,
     result: GoalResult,
     response: FrequencyResponse | None,
 ) -> None:
     """Store the samples of a trial, and the response that was estimated from them."""
-    goal_id, study_id = result.goal_id, known.intent.study_id
+    goal_id = result.goal_id
     samples = {
         "goal_id": goal_id,
         "samples": len(result.reference),
@@ -276,19 +292,16 @@ def _keep(
     connection.execute(_KEEP_SAMPLES, samples)
     if response is None:
         return
-    who = {"study": study_id, "name": known.intent.robot}
-    robot = connection.execute(_DESCRIBED, who).mappings().one_or_none()
-    if robot is None:
-        raise UnknownRecordError(
-            f"no description of robot {known.intent.robot} of study {study_id} is stored"
-        )
+    described = connection.execute(_DESCRIBED, {"study": study_id, "name": robot}).one_or_none()
+    if described is None:
+        raise UnknownRecordError(f"no description of robot {robot} of study {study_id} is stored")
     measured = {
         "goal_id": goal_id,
-        "fleet": robot["fleet"],
-        "robot": known.intent.robot,
+        "fleet": described.fleet,
+        "robot": robot,
         "axis": result.test_plan.axis,
         "measured_at": utc_now(),
-        "kind": robot_record(robot).spec.kind,
+        "kind": spec_of(robot, described.spec).kind,
         **response_row(response),
     }
     connection.execute(_KEEP_RESPONSE, measured)
@@ -300,11 +313,18 @@ def _keep(
 # so each is built once.
 _LOCKED = select(TRIALS).where(TRIALS.c.goal_id == bindparam("id")).with_for_update()
 _UPDATE = TRIALS.update().where(TRIALS.c.goal_id == bindparam("id"))
+_OF_OWNER = _UPDATE.where(TRIALS.c.epoch <= bindparam("by"))
+_ACCEPT = _OF_OWNER.where(TRIALS.c.status == TrialStatus.INTENDED).returning(
+    TRIALS.c.study_id, TRIALS.c.robot
+)
+_END = _OF_OWNER.where(TRIALS.c.status.not_in([s for s in TrialStatus if s.ended])).returning(
+    TRIALS.c.study_id, TRIALS.c.robot
+)
 _KEEP_SAMPLES = SAMPLES.insert()
 _KEEP_RESPONSE = RESPONSES.insert()
 _KEEP_MATRIX = MATRICES.insert()
 _DESCRIBED = (
-    select(ROBOTS)
+    select(ROBOTS.c.fleet, ROBOTS.c.spec)
     .join(STUDIES, STUDIES.c.fleet == ROBOTS.c.fleet)
     .where(STUDIES.c.study_id == bindparam("study"), ROBOTS.c.robot == bindparam("name"))
 )

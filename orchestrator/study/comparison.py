@@ -20,7 +20,7 @@ from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
 from nufleet.orchestrator.study.errors_across import ErrorsAcross
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
-from nufleet.orchestrator.study.screening import Screened
+from nufleet.orchestrator.study.screening import Screened, surely_behind
 from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -88,29 +88,64 @@ class Comparison:
         target = self._draw(self._plan.target)[axis]
         known = {name: self._robots[name].axes[axis].tones for name in sources}
         screened = Screened.of(self.omega_rad_s, target, known)
-        chosen = set(screened.order[: self._settings.compared])
+        first = self._settings.compared
+        joining, waiting = screened.order[:first], screened.order[first:]
+        places: list[int] = []
+        outrun: dict[str, str] = {}
+        estimates: list[SourceEstimate] = []
         while True:
-            names = [name for n, name in enumerate(sources) if n in chosen]
-            belief = (compared := self._in_full(names)).belief
+            places = sorted([*places, *joining])
+            compared = self._in_full([sources[n] for n in places])
+            belief = compared.belief
             leader, _ = belief.leader(self._settings.epsilon, self._settings.delta)
             ahead = belief.psi_star[belief.sources.index(leader)]
             behind = screened.outrun(ahead)
-            joining = [n for n in screened.order if n not in chosen and not behind[n]]
-            if not joining:
+            open_still = [n for n in waiting if not behind[n]]
+            if not open_still:
                 break
-            chosen.update(joining[: self._settings.compared])
-        self._forget_but({self._plan.target, *names})
-        left = [n for n in range(len(sources)) if n not in chosen]
-        estimates = [screened.estimate(n, self._robots[sources[n]].tests) for n in left]
+            for place in self._surplus(belief, ahead, len(sources)):
+                name = belief.sources[place]
+                outrun[name] = belief.lag(name, leader)
+                estimates.append(self._estimate(belief, name))
+            places = [n for n in places if sources[n] not in outrun]
+            self._forget_but({self._plan.target, *(sources[n] for n in places)})
+            joining = open_still[: self._settings.compared]
+            waiting = [n for n in waiting if n not in joining]
+        self._forget_but({self._plan.target, *belief.sources})
+        for n in waiting:
+            outrun[sources[n]] = screened.reason(n, leader, ahead)
+            estimates.append(screened.estimate(n, self._robots[sources[n]].tests))
         return replace(
             compared,
-            outrun={sources[n]: screened.reason(n, leader, ahead) for n in left},
+            outrun=outrun,
             estimates=tuple(sorted(estimates, key=lambda one: one.psi)),
         )
 
+    def _surplus(self, belief: SelectionBelief, ahead: FloatArray, among: int) -> list[int]:
+        """Return the places of sources that are surely behind, and not among the closest few.
+
+        Their samples take megabytes each, and are of no use any more.
+        """
+        closest = np.argsort(belief.psi_star.mean(axis=1), kind="stable")
+        behind = surely_behind(belief.psi_star, ahead, among)
+        return [int(n) for n in closest[self._settings.compared :] if behind[n]]
+
+    def _estimate(self, belief: SelectionBelief, name: str) -> SourceEstimate:
+        low, median, high = belief.interval(name)
+        return SourceEstimate(
+            robot=name,
+            psi=median,
+            psi_low=low,
+            psi_high=high,
+            omega_rad_s=belief.decisive_omega_rad_s(name),
+            tests=self._robots[name].tests,
+        )
+
     def _forget_but(self, names: Collection[str]) -> None:
-        """Forget the samples of all other robots, which take a few megabytes of memory each."""
-        self._draws = {key: drawn for key, drawn in self._draws.items() if key[0] in names}
+        """Forget models and samples of all other robots, which take a few megabytes each."""
+        for name, axis in [key for key in self._draws if key[0] not in names]:
+            del self._draws[name, axis]
+            self._robots[name].axes[axis].forget_model()
 
     def _in_full(self, sources: Sequence[str]) -> Compared:
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}

@@ -13,12 +13,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
+
+BoolArray = NDArray[np.bool_]
 
 SIGNIFICANCE = 1e-3
 """Probability that any of the sources which are left out as outrun is the closest."""
@@ -78,16 +81,13 @@ class Screened:
         """Places of the sources, by rising lower bound."""
         return [int(n) for n in np.argsort(self.at_least.mean(axis=1), kind="stable")]
 
-    def outrun(self, psi_star: FloatArray) -> FloatArray:
+    def outrun(self, psi_star: FloatArray) -> BoolArray:
         """Return whether each source is surely further away than a certain one, shape (sources,).
 
         Args:
             psi_star: Samples of the worst-case distance of that one, shape (samples,).
         """
-        behind = self.at_least - psi_star
-        needed = -float(ndtri(SIGNIFICANCE / len(self.sources))) * behind.std(axis=1)
-        surely = (behind.min(axis=1) > 0.0) & (behind.mean(axis=1) > needed)
-        return np.asarray(surely)
+        return surely_behind(self.at_least, psi_star, len(self.sources))
 
     def estimate(self, n: int, tests: int) -> SourceEstimate:
         """Return what is known of a source that was outrun: how far away it is at least.
@@ -119,6 +119,22 @@ class Screened:
             f"its tones alone put it {behind:.3f} or more behind {leader}, so that nothing else of "
             "it was compared"
         )
+
+
+def surely_behind(distances: FloatArray, psi_star: FloatArray, among: int) -> BoolArray:
+    """Return whether each of some sources is surely further away than a certain one.
+
+    It is so in every sample, and by more than the deviation of its lag allows, shape (sources,).
+
+    Args:
+        distances: Samples of each source's worst-case distance, or of a bound below it, shape
+            (sources, samples).
+        psi_star: Samples of the worst-case distance of that one, shape (samples,).
+        among: Number of sources of which none may be left out wrongly.
+    """
+    behind = distances - psi_star
+    needed = -float(ndtri(SIGNIFICANCE / among)) * behind.std(axis=1)
+    return np.asarray((behind.min(axis=1) > 0.0) & (behind.mean(axis=1) > needed))
 
 
 def _between(grid_rad_s: FloatArray, z: ComplexArray, omega_rad_s: FloatArray) -> ComplexArray:

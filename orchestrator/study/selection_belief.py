@@ -205,7 +205,6 @@ class SelectionBelief:
             delta: Accepted probability δ of a wrong selection.
         """
         ahead = self.loss[self.sources.index(leader)]
-        what = "worst-case distance" if self.errors is None else "predicted error"
         chances = self.probability_best()
         out: dict[str, str] = {}
         for n, source in enumerate(self.sources):
@@ -213,8 +212,14 @@ class SelectionBelief:
             deviation = float(np.std(behind))
             needed = -float(ndtri(delta / (2 * len(self.sources)))) * deviation
             if source != leader and chances[n] == 0.0 and float(np.mean(behind)) > needed:
-                out[source] = (
-                    f"its {what} is {np.mean(behind):.3f} ± {deviation:.1g} larger "
-                    f"than that of {leader}"
-                )
+                out[source] = self.lag(source, leader)
         return out
+
+    def lag(self, source: str, leader: str) -> str:
+        """Return in words by how much a source's loss is larger than that of the leader."""
+        what = "worst-case distance" if self.errors is None else "predicted error"
+        behind = self.loss[self.sources.index(source)] - self.loss[self.sources.index(leader)]
+        return (
+            f"its {what} is {np.mean(behind):.3f} ± {np.std(behind):.1g} larger "
+            f"than that of {leader}"
+        )

@@ -79,6 +79,8 @@ def error_correlation(
     Returns:
         Correlations, shape (axes, axes), Hermitian, with ones on the diagonal.
     """
+    if len(left) == 1:
+        return np.ones((1, 1), dtype=np.complex128)
     samples = left.shape[1]
     highest = math.ceil(1.5 * omega_max_rad_s * samples * sample_time_s / (2 * math.pi))
     lines = np.fft.rfft(left, axis=1)[:, 1 : 1 + highest]

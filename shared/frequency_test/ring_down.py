@@ -9,8 +9,9 @@ tones. Noise does not decay: a transient has to stand out of the same record rea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -82,6 +83,11 @@ SLIGHT = 1e-3
 """Deviation of what is unexplained in the first third, as a multiple of the rest's, above which
 decays do not explain the output, and shares of the output's deviation that are never too much: in
 the whole record, and in its measuring part."""
+
+RECORDS_KEPT = 64
+RECORD_MAX = 2**18
+"""Number of records of which all that does not depend on the output is kept for further robots,
+which often settle equally long, and the largest number of entries of one."""
 
 DECAYS_UNTIL_SETTLED = 3.0
 """Number of time constants of the slowest part in a settling time, which leave 5 % of it."""
@@ -166,21 +172,22 @@ def ring_down(
     if count < 4 * len(omega_rad_s) + 8:
         return nothing
     y = output[: count * block].reshape(count, block).mean(axis=1)
-    times_s = (block * sample_time_s) * np.arange(count, dtype=np.float64)
-    size = float(np.std(y))
+    size = _deviation(y)
     if size == 0.0:
         return nothing
-    turning = exponentials(times_s[1] * omega_rad_s, count)
-    steady = [turning.real, turning.imag, np.ones((count, 1)), times_s[:, None] / times_s[-1]]
-    basis = np.linalg.qr(np.concatenate(steady, axis=1))[0]
+    kept = count * (2 * len(omega_rad_s) + 2 + DECAYS) <= RECORD_MAX
+    record = (_kept_record if kept else _Record.of)(
+        tuple(omega_rad_s.tolist()), HIGHER * top_rad_s, block * sample_time_s, count
+    )
+    times_s, basis = record.times_s, record.steady
     # White noise, from what neighbouring samples differ by.
     noise = float(np.mean(np.diff(output, 2) ** 2)) / (6 * block)
     found: list[tuple[float, float]] = []
     for _ in range(PARTS_MAX):
         left = y - basis @ (basis.T @ y)
-        if float(np.std(left)) <= NEGLIGIBLE * size:
+        if _deviation(left) <= NEGLIGIBLE * size:
             break
-        start = _loudest(left, times_s, HIGHER * top_rad_s)
+        start = _loudest(left, record)
         if start is None and np.var(left) > NOISE_RATIO * noise:
             start = _most(left, basis, times_s, HIGHER * top_rad_s)
         if start is None:
@@ -193,28 +200,72 @@ def ring_down(
         basis = np.concatenate([basis, np.linalg.qr(part)[0]], axis=1)
     first = settle_samples // block
     left = y - basis @ (basis.T @ y)
-    steady_basis = basis[:, : 2 * len(omega_rad_s) + 2]
+    steady = record.steady
     # What hardly decays in the record may as well be a drift or a step.
     slow = any(decay * times_s[-1] < 1.0 for decay, _ in found)
     odd = _uneven(left, SLIGHT_BEFORE * size) or _uneven(left[first:], SLIGHT * size)
     if not found or slow or odd:
-        steady_left = y - steady_basis @ (steady_basis.T @ y)
-        return replace(nothing, unexplained=float(np.std(steady_left[:first])) if first else 0.0)
+        steady_left = y - steady @ (steady.T @ y)
+        return replace(nothing, unexplained=_deviation(steady_left[:first]) if first else 0.0)
     # Slowest first, and only what is left of them that would disturb the estimates.
     parts = np.array(sorted(found))
     columns = _decaying(times_s, parts[:, 0], parts[:, 1])
-    free, moved = (one - steady_basis @ (steady_basis.T @ one) for one in (columns, y))
+    free, moved = (one - steady @ (steady.T @ one) for one in (columns, y))
     weights = np.linalg.lstsq(free, moved, rcond=1e-9)[0]
     late = np.mean((columns * weights)[first:] ** 2, axis=0).reshape(2, -1).sum(axis=0)
     lasting = late > np.maximum(np.var(left[first:]) / (count - first), (LASTING * size) ** 2)
-    before = float(np.std(left[:first])) if first else 0.0
+    before = _deviation(left[:first]) if first else 0.0
     return RingDown(parts[:, 0], parts[:, 1], lasting, before)
 
 
 def _uneven(left: FloatArray, slight: float) -> bool:
     """Return whether more is unexplained in the beginning: a crash or a change is no decay."""
     beginning, rest = np.split(left, [len(left) // 3])
-    return bool(np.std(beginning) > max(UNEVEN * float(np.std(rest)), slight))
+    return _deviation(beginning) > max(UNEVEN * _deviation(rest), slight)
+
+
+def _deviation(values: FloatArray) -> float:
+    """Return the standard deviation; `numpy.std` takes three times as long for a short record."""
+    centred = values - values.mean()
+    return math.sqrt(float(centred @ centred) / len(values))
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """All of a search for a transient that does not depend on the output."""
+
+    times_s: FloatArray
+    """Times of the blocks, shape (count,)."""
+    steady: FloatArray
+    """Orthonormal columns of the tones, offset and drift, shape (count, columns)."""
+    decay_1_s: FloatArray
+    """Decay rates that are tried first, shape (rates,)."""
+    envelopes: FloatArray
+    """Decays of those rates, each of energy 1, shape (rates, count)."""
+    bins_rad_s: FloatArray
+    """Fourier frequencies at which transients are sought, shape (bins,)."""
+
+    @staticmethod
+    def of(omega_rad_s: tuple[float, ...], top_rad_s: float, step_s: float, count: int) -> _Record:
+        times_s = step_s * np.arange(count, dtype=np.float64)
+        turning = exponentials(times_s[1] * np.array(omega_rad_s), count)
+        steady = [turning.real, turning.imag, np.ones((count, 1)), times_s[:, None] / times_s[-1]]
+        decays = np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS)
+        envelopes = np.exp(-np.outer(decays, times_s))
+        bins = np.fft.rfftfreq(2 * count, times_s[1]) * 2 * np.pi
+        arrays = (
+            times_s,
+            np.linalg.qr(np.concatenate(steady, axis=1))[0],
+            decays,
+            envelopes / np.sqrt(np.sum(envelopes**2, axis=1))[:, None],
+            bins[bins <= top_rad_s],
+        )
+        for array in arrays:
+            array.setflags(write=False)
+        return _Record(*arrays)
+
+
+_kept_record = lru_cache(RECORDS_KEPT)(_Record.of)
 
 
 def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
@@ -223,23 +274,21 @@ def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArra
     return np.concatenate([ringing.real, ringing.imag], axis=1)
 
 
-def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[float, float] | None:
+def _loudest(left: FloatArray, record: _Record) -> tuple[float, float] | None:
     """Return decay and frequency of what most exceeds the noise; None if nothing does."""
-    step_s = times_s[1]
-    bins = np.fft.rfftfreq(2 * len(left), step_s) * 2 * np.pi
-    heard = bins <= top_rad_s
-    white = float(np.var(left[len(left) // 2 :]))
-    decays = np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS)
-    envelopes = np.exp(-np.outer(decays, times_s))
-    power = np.sum(envelopes**2, axis=1)
-    both = np.stack([left, left[::-1]])[:, None] * envelopes / np.sqrt(power)[:, None]
-    forwards, backwards = np.abs(np.fft.rfft(both, 2 * len(left))) ** 2
+    heard = len(record.bins_rad_s)
+    half = left[len(left) // 2 :]
+    white = _deviation(half) ** 2
+    both = np.stack([left, left[::-1]])[:, None] * record.envelopes
+    # Noise is averaged over neighbouring frequencies, some of which lie beyond the highest bin.
+    lines = np.fft.rfft(both, 2 * len(left))[..., : heard + NEIGHBOURS]
+    forwards, backwards = lines.real**2 + lines.imag**2
     noise = np.maximum(uniform_filter1d(backwards, NEIGHBOURS, mode="nearest"), white)
-    ratio = (forwards / np.maximum(noise, np.finfo(float).tiny))[:, heard]
+    ratio = (forwards / np.maximum(noise, np.finfo(float).tiny))[:, :heard]
     slow, at = np.unravel_index(np.argmax(ratio), ratio.shape)
     if ratio[slow, at] <= RATIO_MIN:
         return None
-    return float(decays[slow]), float(bins[at])
+    return float(record.decay_1_s[slow]), float(record.bins_rad_s[at])
 
 
 def _most(
@@ -272,56 +321,71 @@ def _refined(
 ) -> tuple[float, float]:
     """Return decay and frequency that leave the least, by variable projection."""
     count, step_s, whole = len(times_s), float(times_s[1]), float(left @ left)
-    # As in `exponentials`, for a single rate.
+    # As in `exponentials`, for a single rate: first along the fine steps, then the coarse ones.
     block = math.isqrt(count)
-    coarse, fine = block * np.arange(-(-count // block)), np.arange(block)
+    rows = -(-count // block)
+    steps = np.concatenate([np.arange(block), block * np.arange(rows)]).astype(np.float64)
+    columns = np.zeros((rows * block, 1 + basis.shape[1]))
+    columns[:count, 0], columns[:count, 1:] = left, basis
+    by_fine = columns.reshape(rows, block, -1).transpose(0, 2, 1).reshape(-1, block).astype(complex)
     # Slower than this is not told from offset and drift, faster not from a single block.
     slowest, fastest = math.log(0.3 / float(times_s[-1])), -math.log(step_s)
 
-    def rate_1_s(place: FloatArray) -> complex:
-        decay = math.exp(min(max(float(place[0]), slowest), fastest))
-        return complex(-decay, abs(place[1]))
+    def rate_1_s(place: complex) -> complex:
+        decay = math.exp(min(max(place.real, slowest), fastest))
+        return complex(-decay, abs(place.imag))
 
-    def unexplained(place: FloatArray) -> float:
+    def unexplained(place: complex) -> float:
         rate = step_s * rate_1_s(place)
-        ringing = (np.exp(rate * coarse)[:, None] * np.exp(rate * fine)).ravel()[:count]
-        part = ringing.view(np.float64).reshape(count, 2)
-        along = basis.T @ part
-        (a, c), (_, b) = (part.T @ part - along.T @ along).tolist()
-        u, v = (left @ part).tolist()
+        turning = np.exp(rate * steps)
+        moments = turning[block:] @ (by_fine @ turning[:block]).reshape(rows, -1)
+        along, toward = moments[1:], complex(moments[0])
+        u, v = toward.real, toward.imag
+        # Sums over the samples of |e|² and e², less what lies along the basis.
+        power = math.expm1(2 * count * rate.real) / math.expm1(2 * rate.real)
+        power -= float(np.vdot(along, along).real)
+        square = _less_one(2 * count * rate) / _less_one(2 * rate) - complex(along @ along)
+        a, b, c = (power + square.real) / 2, (power - square.real) / 2, square.imag / 2
         # As in `_most`; the sine of a part that does not oscillate is zero.
         determinant = a * b - c**2
         if determinant <= DEGENERATE * a * b or b <= DEGENERATE * a:
             gain = max(u**2 / max(a, TINY), v**2 / b if b > DEGENERATE * a else 0.0)
         else:
             gain = (b * u**2 - 2 * c * u * v + a * v**2) / determinant
-        return whole - float(gain)
+        return whole - gain
 
     width = max(start[0], 2 * np.pi / times_s[-1])
-    corner = np.array([np.log(start[0]), start[1]])
-    simplex = corner + np.array([[0.0, 0.0], [0.7, 0.0], [0.0, 0.5 * width]])
+    corner = complex(math.log(start[0]), start[1])
+    simplex = (corner, corner + 0.7, corner + 0.5j * width)
     found = rate_1_s(_least(unexplained, simplex, REFINEMENTS, PLACED / count))
     decay, omega = -found.real, found.imag
     return decay, omega if omega > REAL * decay else 0.0
 
 
+def _less_one(exponent: complex) -> complex:
+    """Return e^x − 1, which loses no digits where x is small."""
+    x, y = exponent.real, exponent.imag
+    real = math.expm1(x) * math.cos(y) - 2 * math.sin(y / 2) ** 2
+    return complex(real, math.exp(x) * math.sin(y))
+
+
 def _least(
-    cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int, close: float
-) -> FloatArray:
+    cost: Callable[[complex], float], simplex: Sequence[complex], evaluations: int, close: float
+) -> complex:
     """Return the best place that a simplex finds (Nelder and Mead, Computer Journal 7, 1965).
 
     SciPy has this method, too, but its `optimize` takes a fifth of a second to load.
 
     Args:
-        cost: Function of a place, shape (dimensions,), which is not negative.
-        simplex: Places to begin with, shape (dimensions + 1, dimensions).
+        cost: Function of a place in the plane, which is not negative.
+        simplex: Three places to begin with.
         evaluations: Number of evaluations from which on no further step is taken.
         close: Difference of the costs, as a share of the least, from which on none is taken either.
     """
-    places: list[tuple[float, FloatArray]] = [(cost(place), place) for place in simplex]
+    places: list[tuple[float, complex]] = [(cost(place), place) for place in simplex]
     done = len(places)
 
-    def tried(place: FloatArray) -> tuple[float, FloatArray]:
+    def tried(place: complex) -> tuple[float, complex]:
         nonlocal done
         done += 1
         return cost(place), place
@@ -331,7 +395,7 @@ def _least(
         (lowest, best), (highest, worst) = places[0], places[-1]
         if done >= evaluations or highest - lowest <= close * lowest:
             return best
-        centre = sum(place for _, place in places[:-1]) / (len(places) - 1)
+        centre = (best + places[1][1]) / 2
         away = centre - worst
         reflected = tried(centre + away)
         if reflected[0] < lowest:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.frequency_test.quality import Finding
+from nufleet.shared.frequency_test.quality import Finding, middle_of
 
 IndexArray = NDArray[np.intp]
 
@@ -52,8 +52,10 @@ def sensor_faults(measured: FloatArray, tones: FloatArray, scale: float) -> Iter
         )
         return
     # A coarse or slow sensor repeats samples too, but only within its resolution or update period.
+    length_min = RUN_MIN_SAMPLES * max(1.0, middle_of(lengths))
+    if lengths.max() < length_min:
+        return
     motion_min = max(2 * resolution_of(measured), RUN_MOTION_MIN * float(np.ptp(tones)))
-    length_min = RUN_MIN_SAMPLES * max(1.0, float(np.median(lengths)))
     stuck = [
         (int(start), int(length))
         for start, length in np.stack([starts, lengths], axis=-1)[lengths >= length_min]
@@ -99,17 +101,18 @@ def _cut_off(
     A level counts only if the output reached it in at least two separate runs.
     """
     levels = measured[starts]
-    usual = float(np.median(lengths))
+    usual = middle_of(lengths)
     bounds = []
     for sign in (-1.0, 1.0):
         bound = sign * float(np.max(sign * levels))
+        if np.count_nonzero(levels == bound) <= 1:
+            continue
         there = measured == bound
-        runs = np.count_nonzero(levels == bound)
         inside = sign * float(np.max(sign * levels[levels != bound]))
         before = np.count_nonzero(measured == inside)
         often = np.count_nonzero(there) >= CUT_OFF_MIN_SAMPLES * usual
         alone = np.count_nonzero(there) > CUT_OFF_RATIO * before
         moved = np.ptp(tones[there]) > 2 * resolution_of(measured)
-        if runs > 1 and often and alone and moved:
+        if often and alone and moved:
             bounds.append(bound)
     return bounds

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -17,8 +19,14 @@ CONDITION_MAX = 1e10
 KEPT_MAX = 2**20
 """Largest number of entries of a design matrix that is kept in memory."""
 
+DESIGNS_KEPT = 4
+"""Number of designs that are kept for further signals: all robots of a round play the same test."""
+
 SCATTER_MIN = 1e-6
 """Fraction of the variance below which the scatter of segments is rounding rather than noise."""
+
+
+A = TypeVar("A", bound=np.ndarray[Any, Any])
 
 
 class UnresolvableError(ValueError):
@@ -75,10 +83,11 @@ def complex_median(segment_values: ComplexArray) -> ComplexArray:
     Returns:
         Medians, shape (n,).
     """
-    median: ComplexArray = np.median(segment_values.real, axis=0) + 1j * np.median(
-        segment_values.imag, axis=0
-    )
-    return median
+    count = len(segment_values)
+    both = np.ascontiguousarray(segment_values).view(np.float64)
+    ordered = np.sort(both, axis=0)
+    middle = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
+    return np.asarray(middle.view(np.complex128))
 
 
 def fit_sinusoids(
@@ -120,44 +129,39 @@ def fit_sinusoids(
     """
     stacked = np.column_stack(signals)
     samples, count = stacked.shape
-    length = samples // segments
-    blocks = [slice(p * length, (p + 1) * length) for p in range(segments)]
-    columns_of = _Columns(samples, omega_rad_s, sample_time_s, transient)
-    size = columns_of.count
-    grams = np.empty((segments, size, size))
-    moments = np.zeros((size, count))
-    # H is needed twice. Of many tones in a long test it would take gigabytes, so that it is made
-    # twice, one segment at a time.
-    kept: list[FloatArray] = []
-    keeps = samples * size <= KEPT_MAX
-    for p, block in enumerate(blocks):
-        columns = columns_of(block)
-        if keeps:
-            kept.append(columns)
-        grams[p] = columns.T @ columns
-        moments += columns.T @ stacked[block]
-    gram = grams.sum(axis=0)
-    eigenvalues = np.linalg.eigvalsh(gram)
-    if eigenvalues[-1] > CONDITION_MAX * eigenvalues[0]:
-        raise UnresolvableError("signals of this length cannot resolve the frequencies")
-    factor = cho_factor(gram)
-    theta = cho_solve(factor, moments)
+    of = (tuple(omega_rad_s.tolist()), sample_time_s, segments, samples)
+    kept = transient is None and samples * (2 * len(omega_rad_s) + 2) <= KEPT_MAX
+    moments: FloatArray = np.zeros((1, count))
+
+    def add(block: slice, columns: FloatArray) -> None:
+        nonlocal moments
+        moments = moments + columns.T @ stacked[block]
+
+    if kept:
+        design = _kept_design(*of)
+        for block, columns in design.blocks():
+            add(block, columns)
+    else:
+        design = _Design.of(*of, transient, add)
+    theta = cho_solve(design.factor, moments, check_finite=False)
     frequencies = len(omega_rad_s)
-    scatter_factor, scatter_degrees = _scatter(factor, grams, frequencies)
 
     fitted = np.empty_like(stacked)
-    contributions = np.empty((segments, size, count))
-    for p, block in enumerate(blocks):
-        columns = kept[p] if keeps else columns_of(block)
+    left = np.empty((segments, *moments.shape))
+    for p, (block, columns) in enumerate(design.blocks()):
         fitted[block] = columns @ theta
-        contributions[p] = cho_solve(factor, columns.T @ (stacked[block] - fitted[block]))
+        left[p] = columns.T @ (stacked[block] - fitted[block])
+    # The contributions of all segments, shape (columns, segments, signals).
+    every = left.transpose(1, 0, 2).reshape(len(moments), -1)
+    contributions = cho_solve(design.factor, every, check_finite=False)
+    own = theta[:, None] + segments * contributions.reshape(-1, segments, count)
     return [
         SinusoidFit(
             omega_rad_s=omega_rad_s,
             phasors=_phasors(theta[:, s], frequencies),
-            segment_phasors=_phasors(theta[:, s] + segments * contributions[:, :, s], frequencies),
-            scatter_factor=scatter_factor,
-            scatter_degrees=scatter_degrees,
+            segment_phasors=_phasors(own[:, :, s].T, frequencies),
+            scatter_factor=design.scatter_factor,
+            scatter_degrees=design.scatter_degrees,
             fitted=fitted[:, s],
         )
         for s in range(count)
@@ -178,8 +182,18 @@ def sum_of_tones(
     Returns:
         The sum in the phasors' unit, shape (samples,).
     """
-    turning = exponentials(sample_time_s * omega_rad_s, samples)
+    if samples * len(omega_rad_s) <= KEPT_MAX:
+        turning = _kept_turning(tuple(omega_rad_s.tolist()), sample_time_s, samples)
+    else:
+        turning = exponentials(sample_time_s * omega_rad_s, samples)
     return np.asarray((turning @ phasors).real)
+
+
+@lru_cache(DESIGNS_KEPT)
+def _kept_turning(
+    omega_rad_s: tuple[float, ...], sample_time_s: float, samples: int
+) -> ComplexArray:
+    return _shared(exponentials(sample_time_s * np.array(omega_rad_s), samples))
 
 
 def exponentials(
@@ -246,20 +260,25 @@ def _scatter(
         both of shape (F,).
     """
     segments, size, _ = grams.shape
-    inverse = cho_solve(factor, np.eye(size))
+    inverse = cho_solve(factor, np.eye(size), check_finite=False)
     # Columns of G⁻¹ for cos and sin of each frequency: (size, 2, F).
     both = inverse[:, : 2 * frequencies].reshape(size, 2, frequencies)
-    # The contributions of segments p and q have the covariance δ_pq G⁻¹G_pG⁻¹ − G⁻¹G_pG⁻¹G_qG⁻¹.
-    total, squares = np.zeros(frequencies), np.zeros(frequencies)
-    through = [np.tensordot(own, both, 1) for own in grams]
-    for p in range(segments):
-        back = np.tensordot(inverse, through[p], 1)
-        for q in range(p, segments):
-            block = -np.einsum("saf,sbf->abf", back, through[q])
-            if p == q:
-                block += np.einsum("saf,sbf->abf", both, through[p])
-                total += block[0, 0] + block[1, 1]
-            squares += (1 if p == q else 2) * np.sum(block**2, axis=(0, 1))
+    # The contributions of segments p and q have the covariance δ_pq G⁻¹G_pG⁻¹ − G⁻¹G_pG⁻¹G_qG⁻¹,
+    # of which each frequency has a block of shape (2 segments, 2 segments).
+    through = grams @ inverse[:, : 2 * frequencies]
+    back = inverse @ through
+    rows, columns = (
+        one.reshape(segments, size, 2, frequencies).transpose(3, 0, 2, 1) for one in (back, through)
+    )
+    covariance = -(
+        rows.reshape(frequencies, 2 * segments, size)
+        @ columns.reshape(frequencies, 2 * segments, size).transpose(0, 2, 1)
+    ).reshape(frequencies, segments, 2, segments, 2)
+    of_own = np.einsum("saf,fpbs->fpab", both, columns)
+    each = np.arange(segments)
+    covariance[:, each, :, each] += of_own.transpose(1, 0, 2, 3)
+    total = np.einsum("fpapa->f", covariance)
+    squares = np.sum(covariance**2, axis=(1, 2, 3, 4))
     # s² is a quadratic form in the contributions: its mean is the trace of their covariance, its
     # variance twice the squared Frobenius norm, so Satterthwaite's degrees are trace² / norm².
     expected = segments / (segments - 1) * total
@@ -270,7 +289,74 @@ def _scatter(
     return np.asarray(variance / expected), np.asarray(total**2 / squares)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """All of a fit that does not depend on the signals."""
+
+    segments: int
+    columns_of: _Columns
+    kept: tuple[FloatArray, ...]
+    """The rows of H for each segment; none if they take too much memory."""
+    factor: tuple[FloatArray, bool]
+    """Cholesky factor of HᵀH, as returned by `cho_factor`."""
+    scatter_factor: FloatArray
+    scatter_degrees: FloatArray
+
+    @staticmethod
+    def of(
+        omega_rad_s: tuple[float, ...],
+        sample_time_s: float,
+        segments: int,
+        samples: int,
+        transient: FloatArray | None = None,
+        seen: Callable[[slice, FloatArray], None] = lambda block, columns: None,
+    ) -> _Design:
+        """Factorise; `seen` receives each block of rows of H. Raises UnresolvableError."""
+        columns_of = _Columns(samples, np.array(omega_rad_s), sample_time_s, transient)
+        size = columns_of.count
+        grams = np.empty((segments, size, size))
+        # H is needed twice. Of many tones in a long test it would take gigabytes, so that it is
+        # made twice, one segment at a time.
+        kept = []
+        for p, block in enumerate(_blocks(samples, segments)):
+            columns = columns_of(block)
+            grams[p] = columns.T @ columns
+            seen(block, columns)
+            if samples * size <= KEPT_MAX:
+                kept.append(_shared(columns))
+        gram = grams.sum(axis=0)
+        eigenvalues = np.linalg.eigvalsh(gram)
+        if eigenvalues[-1] > CONDITION_MAX * eigenvalues[0]:
+            raise UnresolvableError("signals of this length cannot resolve the frequencies")
+        factor = cho_factor(gram)
+        scatter = map(_shared, _scatter(factor, grams, len(omega_rad_s)))
+        return _Design(segments, columns_of, tuple(kept), factor, *scatter)
+
+    def blocks(self) -> Iterator[tuple[slice, FloatArray]]:
+        """Yield the samples of each segment, and the rows of H for them."""
+        for p, block in enumerate(_blocks(self.columns_of.samples, self.segments)):
+            yield block, self.kept[p] if self.kept else self.columns_of(block)
+
+
+@lru_cache(DESIGNS_KEPT)
+def _kept_design(
+    omega_rad_s: tuple[float, ...], sample_time_s: float, segments: int, samples: int
+) -> _Design:
+    return _Design.of(omega_rad_s, sample_time_s, segments, samples)
+
+
+def _blocks(samples: int, segments: int) -> list[slice]:
+    length = samples // segments
+    return [slice(p * length, (p + 1) * length) for p in range(segments)]
+
+
+def _shared(array: A) -> A:
+    """Return an array that several threads use, which none of them may write to."""
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
 class _Columns:
     """The matrix H, of which a block of rows is made at a time."""
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.frequency_test.quality import Finding
+from nufleet.shared.frequency_test.quality import Finding, middle_of
 from nufleet.shared.frequency_test.sensor_faults import repeated_runs, resolution_of
 
 SPIKE_DEVIATIONS = 7.0
@@ -134,9 +134,11 @@ def _held(tested: Tested) -> FloatArray:
     measured, tones = tested.measured, tested.tones
     starts, lengths = repeated_runs(measured)
     error = np.zeros(len(measured))
-    usual = int(np.median(lengths))
+    if len(starts) in (1, len(measured)):
+        return error
+    usual = int(middle_of(lengths))
     longer = np.flatnonzero(lengths > usual)
-    if len(starts) == 1 or not len(longer):
+    if not len(longer):
         return error
     motion_min = max(2 * resolution_of(measured), NEGLIGIBLE)
     for run in longer:
@@ -153,21 +155,29 @@ def _is_spike(tested: Tested) -> BoolArray:
     They must do so both in the measured output and in the residual. In the output alone, the
     turning points of fast tones would count; in the residual alone, the steps of a slow sensor.
     """
-    away, alone = _off_the_median(tested.residual), _off_the_median(tested.measured)
+    away = _off_the_median(tested.residual)
     # The usual departure is taken over the whole test and around the sample, so that a transient is
     # not taken for a spike. Samples that equal the median of their neighbours, of which there are
     # many in slow noise, carry no information on the noise's size and are left out.
-    in_all = float(np.median(away[away > 0])) if away.any() else 0.0
+    in_all = middle_of(away[away > 0]) if away.any() else 0.0
+    if away.max() <= max(SPIKE_DEVIATIONS * NORMAL_DEVIATION * in_all, NEGLIGIBLE):
+        return np.zeros(len(away), dtype=np.bool_)
     usual = np.maximum(in_all, median_filter(away, SPIKE_SURROUNDINGS))
     limit = np.maximum(SPIKE_DEVIATIONS * NORMAL_DEVIATION * usual, NEGLIGIBLE)
-    return np.asarray((away > limit) & (alone > limit))
+    return np.asarray((away > limit) & (_off_the_median(tested.measured) > limit))
 
 
 def _off_the_median(signal: FloatArray) -> FloatArray:
     """Return the distance of each sample from the median of its neighbours, shape (samples,)."""
     half = SPIKE_NEIGHBOURS // 2
     # An odd reflection continues the trend at both ends, so that the end samples are not peaks.
-    beyond = np.pad(signal, half, mode="reflect", reflect_type="odd")
+    beyond = np.concatenate(
+        [
+            2 * signal[0] - signal[half:0:-1],
+            signal,
+            2 * signal[-1] - signal[-2 : -half - 2 : -1],
+        ]
+    )
     return np.abs(signal - median_filter(beyond, SPIKE_NEIGHBOURS)[half:-half])
 
 

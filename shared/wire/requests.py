@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from collections.abc import Iterator
@@ -12,10 +13,13 @@ import zenoh
 
 from nufleet.shared.errors import TransportError
 from nufleet.shared.redaction import without_secrets
+from nufleet.shared.wire.limits import MAX_MESSAGE_BYTES
 
 ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
 """Encoding that marks an error reply as given by a handler. Zenoh's own error replies, for example
 after a timeout, have another encoding."""
+
+_log = logging.getLogger(__name__)
 
 
 class Request:
@@ -95,6 +99,34 @@ class Publisher(Declaration):
             self._declared.put(payload)
 
 
+class Replies:
+    """The replies to one query; no thread waits for them, and no thread of Zenoh for this one."""
+
+    def __init__(self, handler: Any) -> None:
+        self._handler = handler
+        self._said: list[bytes] = []
+        self._over = False
+
+    def over(self) -> bool:
+        """Return whether all replies have arrived that will; it takes microseconds."""
+        while not self._over:
+            try:
+                reply = self._handler.try_recv()
+            except zenoh.ZError:  # the query is over, and all its replies have been received
+                self._over = True
+                break
+            if reply is None:
+                break
+            said = reply_said(reply)
+            if said is not None:
+                self._said.append(said)
+        return self._over
+
+    def all(self) -> list[bytes]:
+        """Return those that have arrived, which are all once they are `over`; maybe none."""
+        return self._said
+
+
 @contextmanager
 def transport_errors(doing: str) -> Iterator[None]:
     """Turn an error of Zenoh into a TransportError that says what was being done."""
@@ -116,3 +148,20 @@ def cause_of(error: zenoh.ZError) -> str:
         return os.strerror(int(system[1]))
     # The text refers to Zenoh's source files.
     return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
+
+
+def bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
+    """Return a copy of a payload, or empty bytes, without copying, if it is too long."""
+    if len(payload) > max_bytes:
+        _log.warning("%d bytes were %s; at most %d are accepted", len(payload), what, max_bytes)
+        return b""
+    return payload.to_bytes()
+
+
+def reply_said(reply: zenoh.Reply) -> bytes | None:
+    """Return the payload that a handler replied with; None for an error of Zenoh's own."""
+    if reply.ok is not None:
+        return bounded(reply.ok.payload, MAX_MESSAGE_BYTES, "answered")
+    if reply.err is not None and reply.err.encoding == ANSWER:
+        return bounded(reply.err.payload, MAX_MESSAGE_BYTES, "answered")
+    return None

@@ -24,14 +24,16 @@ from zenoh.ext import (
 from nufleet.shared.errors import NoRouterError, TransportError
 from nufleet.shared.wire.identity import Identity
 from nufleet.shared.wire.keys import ADMITTED, DEFAULT_PRINCIPAL, FleetKeys
-from nufleet.shared.wire.limits import MAX_MESSAGE_BYTES, MAX_STATE_BYTES
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.presence import OnPresence, Presence
 from nufleet.shared.wire.requests import (
-    ANSWER,
     Declaration,
     Publisher,
+    Replies,
     Request,
+    bounded,
     declaring,
+    reply_said,
     transport_errors,
 )
 
@@ -185,15 +187,34 @@ class Session:
             TransportError: Zenoh cannot send the query.
         """
         with transport_errors(f"asking on {key}"):
-            replies = self._session.get(
-                key,
-                payload=payload,
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-            )
-            return [said for reply in replies if (said := _said(reply)) is not None]
+            replies = self._query(key, payload, timeout_s)
+            return [said for reply in replies if (said := reply_said(reply)) is not None]
+
+    def ask(self, key: str, payload: bytes, *, timeout_s: float) -> Replies:
+        """Send a query and return its replies, which have not arrived yet.
+
+        Args:
+            key: Key or key expression to query.
+            payload: Request, one encoded message.
+            timeout_s: Longest time until all replies have arrived.
+
+        Raises:
+            TransportError: Zenoh cannot send the query.
+        """
+        with transport_errors(f"asking on {key}"):
+            return Replies(self._query(key, payload, timeout_s))
+
+    def _query(
+        self, key: str, payload: bytes, timeout_s: float
+    ) -> zenoh.handlers.Handler[zenoh.Reply]:
+        return self._session.get(
+            key,
+            payload=payload,
+            timeout=timeout_s,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
 
     def put_urgent(self, key: str, payload: bytes) -> None:
         """Send a payload ahead of all other messages that are waiting to be sent.
@@ -403,23 +424,6 @@ class _Watch:
 def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], None]:
     def on_sample(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        handler(key, _bounded(sample.payload, max_bytes, f"put on {key!r}"))
+        handler(key, bounded(sample.payload, max_bytes, f"put on {key!r}"))
 
     return on_sample
-
-
-def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
-    """Return a copy of a payload, or empty bytes, without copying, if it is too long."""
-    if len(payload) > max_bytes:
-        _log.warning("%d bytes were %s; at most %d are accepted", len(payload), what, max_bytes)
-        return b""
-    return payload.to_bytes()
-
-
-def _said(reply: zenoh.Reply) -> bytes | None:
-    """Return the payload that a handler replied with; None for an error of Zenoh's own."""
-    if reply.ok is not None:
-        return _bounded(reply.ok.payload, MAX_MESSAGE_BYTES, "answered")
-    if reply.err is not None and reply.err.encoding == ANSWER:
-        return _bounded(reply.err.payload, MAX_MESSAGE_BYTES, "answered")
-    return None

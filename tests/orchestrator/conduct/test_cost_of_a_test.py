@@ -28,11 +28,11 @@ BY_TEST = {
 }
 """How many messages of each type are encoded and decoded for one test."""
 
-STATEMENTS_BY_TEST = 8
-"""One to intend it, two to accept it, five for its result, the robot's response among them."""
+STATEMENTS_BY_TEST = 5
+"""One to accept it, four for its result, the robot's response among them."""
 
-STATEMENTS_BY_ROUND = 2
-"""To find what earlier orchestrators left."""
+STATEMENTS_BY_ROUND = 3
+"""Two to find what earlier orchestrators left, one to intend all tests."""
 
 ROUNDS = 10
 """Rounds of which one must cost no more; on a busy machine a question may be repeated."""

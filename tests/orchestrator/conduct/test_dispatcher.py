@@ -28,6 +28,7 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.keys import principal_of
 from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.requests import Replies
 
 
 @pytest.fixture
@@ -46,16 +47,19 @@ def test_a_round_measures_every_robot_once_and_asks_it_for_a_goal_and_a_result(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: set[str] = set()
-    ask_all = lab.client.ask_all
+    waited: list[str] = []
+    ask = lab.client.ask
 
-    def noting(key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
+    def noting(key: str, payload: bytes, *, timeout_s: float) -> Replies:
         asked.add(key)  # a set: on a busy machine, one may be asked again
-        return ask_all(key, payload, timeout_s=timeout_s)
+        return ask(key, payload, timeout_s=timeout_s)
 
-    monkeypatch.setattr(lab.client, "ask_all", noting)
+    monkeypatch.setattr(lab.client, "ask", noting)
+    monkeypatch.setattr(lab.client, "ask_all", lambda key, *_, **__: waited.append(key))
     outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
     by = principal_of(lab.fleet.orchestrator_id)
     assert asked == {KEYS.request(r, by, leaf) for r in ROBOTS for leaf in ("goal", "result")}
+    assert not waited  # no thread waits for a reply
     assert set(outcomes) == set(ROBOTS)
     for outcome in outcomes.values():
         assert isinstance(outcome, Measured)

@@ -20,6 +20,7 @@ from round_lab import KEYS, ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.fleet.goal_runner import Interrupted
+from nufleet.orchestrator.fleet.requests import Reply
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.study.outcomes import Measured
@@ -67,13 +68,13 @@ class Ear:
 
 def asked_about(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Return what is set when a robot is asked how its goal ended."""
-    asked, ask = threading.Event(), lab.fleet.result
+    asked, ask = threading.Event(), lab.fleet.result_later
 
-    def result(robot: str, goal_id: str) -> GoalResult:
+    def result_later(robot: str, goal_id: str) -> Reply[GoalResult]:
         asked.set()
         return ask(robot, goal_id)
 
-    monkeypatch.setattr(lab.fleet, "result", result)
+    monkeypatch.setattr(lab.fleet, "result_later", result_later)
     return asked
 
 

@@ -78,7 +78,7 @@ def test_what_gathers_during_a_commit_is_the_next_one(
             future.result()
     # A beginning and an end of each transaction are not among them, nor is a savepoint.
     work = [said for said in statements if not said.startswith(("BEGIN", "COMMIT"))]
-    assert len(work) == 2 * THREADS, work
+    assert len(work) == THREADS, work
     assert statuses(intended) == [TrialStatus.ACCEPTED] * THREADS
     assert len(gate.batches) == 2
     assert sum(gate.batches) == THREADS

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from weakref import WeakSet
+
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop, answers
@@ -12,6 +15,8 @@ from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Report, StudyPlan
 from nufleet.orchestrator.study.screening import Screened
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 
 GRID = np.linspace(*BAND, 256)
@@ -70,17 +75,19 @@ def test_only_a_source_that_every_sample_puts_behind_is_outrun() -> None:
     assert screened.outrun(np.full(600, 0.1)).tolist() == [True, False, False]
 
 
-def ranked(fleet: dict[str, Loop], compared: int, std: float) -> tuple[Report, int]:
-    """Return the last report, and how many models were fitted."""
+def ranked(fleet: dict[str, Loop], compared: int, std: float) -> tuple[Report, int, int]:
+    """Return the last report, how many models were fitted, and how many were kept at once."""
     sources = tuple(name for name in fleet if name != "target")
     plan = StudyPlan("target", sources, BAND, 8, "x")
     settings = AdaptiveSettings(compared=compared)
-    fitted = []
+    kept, alive, fitted = WeakSet[ResponseModel](), 0, 0
     original = ResponseModel.__init__
 
     def counted(self: ResponseModel, *args: object, **options: object) -> None:
-        fitted.append(self)
+        nonlocal alive, fitted
         original(self, *args, **options)  # type: ignore[arg-type]
+        kept.add(self)
+        alive, fitted = max(alive, len(kept)), fitted + 1
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ResponseModel, "__init__", counted)
@@ -90,13 +97,13 @@ def ranked(fleet: dict[str, Loop], compared: int, std: float) -> tuple[Report, i
         rng = np.random.default_rng(1)
         while (question := study.ask()) is not None:
             report = study.tell(answers(fleet, question, std, rng), {})
-    return report, len(fitted)
+    return report, fitted, alive
 
 
 def test_a_hundred_sources_are_ranked_by_fits_of_a_few() -> None:
     fleet = loops(np.random.default_rng(8), 100)
-    report, fitted = ranked(fleet, compared=8, std=0.01)
-    everything, all_fitted = ranked(fleet, compared=1000, std=0.01)
+    report, fitted, _ = ranked(fleet, compared=8, std=0.01)
+    everything, all_fitted, _ = ranked(fleet, compared=1000, std=0.01)
     assert all_fitted > 100
     assert fitted < 40
     truth = {name: psi_star(fleet, name) for name in fleet if name != "target"}
@@ -118,5 +125,34 @@ def test_a_hundred_sources_are_ranked_by_fits_of_a_few() -> None:
 def test_sources_that_tones_cannot_tell_apart_are_all_compared() -> None:
     rng = np.random.default_rng(9)
     fleet = {"target": Loop(3.0)} | {f"s-{n}": Loop(3.0 + 0.02 * rng.random()) for n in range(20)}
-    report, _ = ranked(fleet, compared=4, std=0.02)
+    report, *_ = ranked(fleet, compared=4, std=0.02)
     assert len(report.curves) == 20
+
+
+def test_the_samples_of_few_sources_are_held_at_once_though_tones_leave_many_a_chance() -> None:
+    fleet = loops(np.random.default_rng(10), 60)
+    held: list[int] = []
+    of = SelectionBelief.of
+
+    def counted(
+        omega: FloatArray, target: ComplexArray, sources: Mapping[str, ComplexArray]
+    ) -> SelectionBelief:
+        held.append(len(sources))
+        return of(omega, target, sources)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SelectionBelief, "of", lambda o, t, s, spectrum: counted(o, t, s))
+        report, fitted, alive = ranked(fleet, compared=4, std=0.05)
+    everything, *_ = ranked(fleet, compared=1000, std=0.05)
+    assert fitted > 30, "tones alone do not tell the sources apart"
+    assert max(held) < 25
+    assert alive < 30
+    assert report.selected == everything.selected
+    assert len(report.ranking) == 60, "every source is in the table"
+    truth = {name: psi_star(fleet, name) for name in fleet if name != "target"}
+    compared = {curve.source for curve in report.curves}
+    for one in report.ranking:
+        if one.robot not in compared:
+            assert one.psi_low <= truth[one.robot]
+            assert report.eliminated[one.robot].startswith("its ")
+            assert truth[one.robot] > truth[report.selected]

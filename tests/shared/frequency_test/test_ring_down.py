@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,13 +12,14 @@ from scipy.signal import cont2discrete, lfilter
 
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.frequency_test import ring_down as ring_down_module
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.multitone import multitone
-from nufleet.shared.frequency_test.ring_down import _refined, ring_down
+from nufleet.shared.frequency_test.ring_down import _Record, _refined, ring_down
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 STEP_S = 0.02
@@ -118,3 +121,21 @@ def test_a_search_that_wanders_off_ends_within_what_the_record_tells(seed: int) 
     decay_1_s, omega_rad_s = _refined(left, basis, times_s, (first, second))
     assert 0.29 / times_s[-1] < decay_1_s < 1.01 / step_s
     assert np.isfinite(omega_rad_s)
+
+
+def test_robots_that_settle_equally_long_share_the_columns_of_their_tones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    prepared: list[int] = []
+    of = _Record.of
+
+    def counting(*record: object) -> _Record:
+        prepared.append(1)
+        return of(*record)  # type: ignore[arg-type]
+
+    shared = lru_cache(counting)
+    monkeypatch.setattr(ring_down_module, "_kept_record", shared)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        ring_down(rng.standard_normal(500), np.array([0.7, 1.9]), 1.9, STEP_S, 100)
+    assert len(prepared) == 1

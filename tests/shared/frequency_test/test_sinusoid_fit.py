@@ -201,3 +201,21 @@ def test_a_design_matrix_that_fits_into_memory_is_made_once_with_the_same_result
     for field in ("phasors", "segment_phasors", "scatter_factor", "fitted"):
         one, other = (getattr(fit, field) for fit in fits)
         assert one.tobytes() == other.tobytes()
+
+
+def test_robots_that_play_the_same_test_share_one_factorisation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    factorised: list[int] = []
+    cho_factor = sinusoid_fit.cho_factor
+
+    def counting(gram: FloatArray) -> tuple[FloatArray, bool]:
+        factorised.append(len(gram))
+        factor: tuple[FloatArray, bool] = cho_factor(gram)
+        return factor
+
+    monkeypatch.setattr(sinusoid_fit, "cho_factor", counting)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        fit_sinusoids([rng.standard_normal(480)], np.array([0.7, 1.9]), 0.1, 4)
+    assert factorised == [6]

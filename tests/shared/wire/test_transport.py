@@ -23,7 +23,7 @@ from nufleet.shared.errors import (
     NufleetError,
     TransportError,
 )
-from nufleet.shared.wire import session, transport
+from nufleet.shared.wire import requests, transport
 from nufleet.shared.wire.requests import Request
 from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client, open_router
@@ -274,13 +274,33 @@ def test_what_is_too_long_is_told_of_without_a_copy_of_it(
     assert "8388608 bytes were put on 'lab/stop'; at most 64 are accepted" in caplog.text
 
 
+def test_no_thread_waits_for_the_replies_to_a_question_that_is_asked_for_later(
+    clients: Callable[[], Session],
+) -> None:
+    server, asker = clients(), clients()
+    waiting: queue.Queue[Request] = queue.Queue()
+    ready = threading.Event()
+    server.serve("soon", lambda one: waiting.put(one) if ready.is_set() else one.answer(b"yes"))
+    served(asker, "soon")
+    ready.set()
+    threads = threading.active_count()
+    questions = [asker.ask("soon", b"", timeout_s=PATIENCE_S) for _ in range(20)]
+    heard = [waiting.get(timeout=PATIENCE_S) for _ in questions]
+    assert threading.active_count() == threads
+    assert not any(question.over() for question in questions)
+    for request in heard:
+        request.answer(b"now")
+    wait_until(lambda: all(question.over() for question in questions))
+    assert [question.all() for question in questions] == [[b"now"]] * 20
+
+
 def test_an_answer_that_is_too_long_is_not_copied(
     clients: Callable[[], Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server, asker = clients(), clients()
     server.serve("long", lambda request: request.answer(bytes(4 * 2**20)))
     served(asker, "long")
-    monkeypatch.setattr(session, "MAX_MESSAGE_BYTES", 2**20)
+    monkeypatch.setattr(requests, "MAX_MESSAGE_BYTES", 2**20)
     assert asker.ask_all("long", b"", timeout_s=PATIENCE_S) == [b""]
 
 
