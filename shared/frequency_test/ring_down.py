@@ -342,14 +342,15 @@ def _refined(
         along, toward = moments[1:], complex(moments[0])
         u, v = toward.real, toward.imag
         # Sums over the samples of |e|² and e², less what lies along the basis.
-        power = math.expm1(2 * count * rate.real) / math.expm1(2 * rate.real)
-        power -= float(np.vdot(along, along).real)
+        whole_power = math.expm1(2 * count * rate.real) / math.expm1(2 * rate.real)
+        power = whole_power - float(np.vdot(along, along).real)
         square = _less_one(2 * count * rate) / _less_one(2 * rate) - complex(along @ along)
         a, b, c = (power + square.real) / 2, (power - square.real) / 2, square.imag / 2
-        # As in `_most`; the sine of a part that does not oscillate is zero.
-        determinant = a * b - c**2
-        if determinant <= DEGENERATE * a * b or b <= DEGENERATE * a:
-            gain = max(u**2 / max(a, TINY), v**2 / b if b > DEGENERATE * a else 0.0)
+        # The sine of a part that does not oscillate is zero, and what the basis holds leaves nothing
+        # but rounding errors, of either sign.
+        least, determinant = DEGENERATE * whole_power, a * b - c**2
+        if min(a, b) <= least or determinant <= DEGENERATE * a * b:
+            gain = max(u**2 / a if a > least else 0.0, v**2 / b if b > least else 0.0)
         else:
             gain = (b * u**2 - 2 * c * u * v + a * v**2) / determinant
         return whole - gain

@@ -107,6 +107,20 @@ def test_noise_alone_hardly_ever_rings(memory: float) -> None:
     assert rung <= 2
 
 
+def test_a_decay_that_was_found_before_explains_nothing_more() -> None:
+    """All of it lies along the basis, so that its energy is a rounding error of either sign."""
+    times_s = STEP_S * np.arange(200)
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        decay = 10 ** rng.uniform(-0.5, 1.0)
+        known = [np.ones(200), times_s, np.exp(-decay * times_s)]
+        basis = np.linalg.qr(np.stack(known, axis=1))[0]
+        left = rng.standard_normal(200)
+        left -= basis @ (basis.T @ left)
+        found = _refined(left, basis, times_s, (decay, 0.0))
+        assert np.all(np.isfinite(found))
+
+
 @pytest.mark.parametrize("seed", [87, 271, 349, 497, 584])
 def test_a_search_that_wanders_off_ends_within_what_the_record_tells(seed: int) -> None:
     """What decays within a few samples can be placed at any faster decay as well."""
