@@ -346,8 +346,8 @@ def _refined(
         power = whole_power - float(np.vdot(along, along).real)
         square = _less_one(2 * count * rate) / _less_one(2 * rate) - complex(along @ along)
         a, b, c = (power + square.real) / 2, (power - square.real) / 2, square.imag / 2
-        # The sine of a part that does not oscillate is zero, and what the basis holds leaves nothing
-        # but rounding errors, of either sign.
+        # The sine of a part that does not oscillate is zero, and of what the basis holds nothing is
+        # left but rounding errors, of either sign.
         least, determinant = DEGENERATE * whole_power, a * b - c**2
         if min(a, b) <= least or determinant <= DEGENERATE * a * b:
             gain = max(u**2 / a if a > least else 0.0, v**2 / b if b > least else 0.0)
