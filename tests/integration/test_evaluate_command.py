@@ -147,6 +147,8 @@ def test_an_evaluation_compares_all_ways_and_goes_on_where_it_was_killed(
     assert record.complete
     assert record.flights[:3] == before
     assert flights_in(run) == record.flights
-    assert table(record) == pytest.approx(table(undisturbed), rel=1e-6)
+    # What a robot knows of itself was added up in another order, which moves its flights, and what
+    # is foretold of them, by a few tenths of a nanometre.
+    assert table(record) == pytest.approx(table(undisturbed), rel=1e-6, abs=1e-9)
     with pytest.raises(InvalidInputError, match="is complete"):
         resume(ResumeCommand(runs_root=runs_root, run=run.name), console)
