@@ -127,13 +127,22 @@ def _when_still(viewer: ViewerClient, deadline: float) -> bytes:
 
     Until then views are still loading and moving into place.
     """
-    before = viewer.take_screenshot()
+    before = _picture(viewer, deadline)
     while True:
         _wait(deadline, "the picture is still changing")
-        now = viewer.take_screenshot()
+        now = _picture(viewer, deadline)
         if now == before:
             return now
         before = now
+
+
+def _picture(viewer: ViewerClient, deadline: float) -> bytes:
+    """Return a picture; the viewer gives one up that takes a software renderer some seconds."""
+    while True:
+        try:
+            return viewer.take_screenshot()
+        except TimeoutError:
+            _wait(deadline, "no picture was drawn")
 
 
 def _wait(deadline: float, complaint: str) -> None:

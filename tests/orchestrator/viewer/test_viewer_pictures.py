@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rerun.experimental import ViewerClient
 from study_events import iteration_event, samples_event, state_event
 from tracking_events import flight
 
@@ -77,6 +78,24 @@ def test_the_viewer_draws_every_view_of_flights(tmp_path: Path, axes: tuple[str,
     for prior in priors:
         nearness = np.abs(picture - np.array(palette.of_prior(prior)) / 255).max(axis=2)
         assert np.count_nonzero(nearness < 0.03) > 100, prior
+
+
+def test_a_picture_that_a_busy_machine_does_not_draw_in_time_is_asked_for_again(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    take = ViewerClient.take_screenshot
+
+    def late(viewer: ViewerClient) -> bytes:
+        asked.append(viewer)
+        if len(asked) == 1:
+            raise TimeoutError("Deadline expired before operation could complete")
+        return take(viewer)
+
+    monkeypatch.setattr(ViewerClient, "take_screenshot", late)
+    screenshot(recording, tmp_path / "run.png", size=(600, 400))
+    assert (tmp_path / "run.png").exists()
+    assert len(asked) > 2
 
 
 def test_without_a_graphics_driver_the_package_to_install_is_named(
