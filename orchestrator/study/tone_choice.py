@@ -12,7 +12,12 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, Tone
-from nufleet.shared.frequency_test.multitone import free_of_products, interleaved, multitone
+from nufleet.shared.frequency_test.multitone import (
+    free_of_products,
+    interleaved,
+    multitone,
+    weights_of,
+)
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
@@ -49,9 +54,6 @@ STEP = 2
 
 At a spacing of two beats, least squares separates the tones as if each were alone.
 """
-
-WEIGHT_EXPONENT = -0.5
-"""Exponent of ω in the tones' amplitudes, between equal amplitudes (0) and equal speeds (−1)."""
 
 TONES_MAX = 64
 
@@ -111,7 +113,7 @@ class ToneChoice:
             amplitudes: Peak of the reference of each axis that plays, in the order of `self.axes`
                 and in the axis's unit; None leaves them to the robot.
         """
-        weights = [(np.array(hand) * self.base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
+        weights = [weights_of(np.array(hand) * self.base_rad_s) for hand in self._hands]
         tones = multitone(self.base_rad_s, self._hands, weights)
         peaks: Sequence[float | None] = amplitudes or [None] * len(tones)
         first, *also = (
