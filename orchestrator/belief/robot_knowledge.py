@@ -51,8 +51,8 @@ CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 
 SILENT = 0.2
-"""Magnitude below which a response differs from none by less than any two that matter. Tones that
-high would take up most of the acceleration that a robot allows."""
+"""Magnitude of a response below which tests of the whole band leave tones out, which would take up
+most of the acceleration that a robot allows."""
 SURELY = 0.975
 ANSWERED_POINTS = 48
 ANSWERED_SEED = 0
@@ -346,8 +346,8 @@ class RobotKnowledge:
             omega = np.geomspace(self._omega_max_rad_s, self.lowest_rad_s, ANSWERED_POINTS)
             drawn = model.draw(omega, CHECK_SAMPLES, np.random.default_rng(ANSWERED_SEED))
             silent = np.quantile(np.abs(drawn), SURELY, axis=0) < SILENT
-            first = 0 if silent.all() else int(np.argmin(silent))
-            self._answered = model, float(omega[max(first - 1, 0)])
+            heard = len(omega) if silent.all() else int(np.argmin(silent))
+            self._answered = model, float(omega[max(heard - 1, 0)])
         return self._answered[1]
 
     def forget_model(self) -> None:

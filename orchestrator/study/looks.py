@@ -46,6 +46,10 @@ CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
 looks; a first test that reaches as low saves some of these, and all robots play it."""
 
+LOWEST_SPAN = 5.5
+"""Least ratio of the highest to the lowest tone that a lowest look may have, also of a robot that
+answers to less: three tones, since a single one would have to last for three periods."""
+
 ROUNDING = 1e-6
 """Share by which a tone may be higher than it was asked for."""
 
@@ -137,8 +141,10 @@ class Looks:
         wanted = first.axes if lacking is None else tuple(lacking)
         spec, band_rad_s = self._robots[name].spec, self._plan.band_rad_s
         if len(first.axes) == 1:
-            answered_rad_s = band_rad_s[0], self._known(name, first.axes[0]).answers_to_rad_s
-            return lowest_look(answered_rad_s, spec, self._settings.lowest * band_rad_s[0], first)
+            lowest_rad_s = self._settings.lowest * band_rad_s[0]
+            answered_rad_s = self._known(name, first.axes[0]).answers_to_rad_s
+            top_rad_s = min(band_rad_s[1], max(answered_rad_s, LOWEST_SPAN * lowest_rad_s))
+            return lowest_look((band_rad_s[0], top_rad_s), spec, lowest_rad_s, first)
         axes = (*wanted, *(axis for axis in first.axes if axis not in wanted))
         reach_rad_s = self._reach_rad_s(name, first)
         for low in range(min(len(wanted), max(LOWEST_TOGETHER)), 0, -1):
@@ -157,12 +163,13 @@ class Looks:
         for first in self._firsts[name]:
             answered = [self._known(name, axis).answers_to_rad_s for axis in first.axes]
             looks = closer_looks(
-                (self._plan.band_rad_s[0], max(answered)),
+                self._plan.band_rad_s,
                 first.measure_s,
                 self._settings.lengths,
                 centres_rad_s,
                 self._settings.window_tones,
                 first.axes,
+                max(answered),
             )
             lowest = [self.lowest(name, first, [axis]) for axis in first.axes]
             lacking = self._lacking(name, first)

@@ -288,6 +288,7 @@ def closer_looks(
     centres_rad_s: Sequence[float],
     window_tones: int,
     axes: tuple[int, ...] = (0,),
+    answers_to_rad_s: float = math.inf,
 ) -> list[ToneChoice]:
     """Return the candidates for a next test, without duplicates.
 
@@ -302,6 +303,8 @@ def closer_looks(
         centres_rad_s: Frequencies in rad/s to look at more closely.
         window_tones: Number of tones per axis around each centre.
         axes: Places of the axes that play, among those of the study.
+        answers_to_rad_s: Frequency in rad/s beyond which tests of the whole band leave tones out,
+            as the robot hardly answers to them; windows around a frequency do not.
     """
     low, high = band_rad_s
     found: dict[ToneChoice, None] = {}
@@ -310,7 +313,7 @@ def closer_looks(
         total_s = length * measure_s
         base = 2 * math.pi / total_s
         for offset, turn in whole:
-            choice = _between((low, high), total_s, offset, turn)
+            choice = _between((low, min(high, answers_to_rad_s)), total_s, offset, turn)
             if choice is not None and len(choice.harmonics) <= TONES_MAX * len(axes):
                 found[choice] = None
         for centre in centres_rad_s:
