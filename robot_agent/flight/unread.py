@@ -18,7 +18,7 @@ from nufleet.robot_agent.flight.cross_axes import Crosses, crosses_in
 from nufleet.robot_agent.flight.own_model import basis_of, evidence_in
 from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.errors import MalformedMessageError, ProtocolVersionError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.private_files import synchronise_folder, write_all
@@ -129,7 +129,8 @@ class UnreadTests:
 
     Its name says which model of itself they add to. Once that has been replaced by one that has
     learned from them, the file counts no more, also if a crash left it in place. A test that was
-    not written to its end is cut off.
+    not written to its end is cut off, and those of another version of the protocol are left out: an
+    agent that was upgraded starts all the same, and learns from its next motions.
     """
 
     def __init__(self, folder: Path | None, adds_to: str) -> None:
@@ -150,8 +151,12 @@ class UnreadTests:
         for path in [] if folder is None else folder.glob(f"{_PREFIX}*{_SUFFIX}"):
             if path != self._path or path.is_symlink():
                 path.unlink()
-        for payload in self._payloads():
-            self._count(decode(payload, UnreadTest), payload)
+        try:
+            for payload in self._payloads():
+                self._count(decode(payload, UnreadTest), payload)
+        except ProtocolVersionError:
+            _log.warning("%s: tests of another version of nufleet teach nothing", self._path)
+            self.forget(adds_to)
 
     def __len__(self) -> int:
         return len(self._flown_s)
@@ -198,7 +203,7 @@ class UnreadTests:
         Raises:
             OSError: Their file cannot be removed.
         """
-        if self._path is not None and self._flown_s:
+        if self._path is not None:
             self._path.unlink(missing_ok=True)
         self._kept, self._flown_s, self._size_bytes = [], [], 0
         self._path = self._of(adds_to)

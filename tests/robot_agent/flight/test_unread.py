@@ -15,6 +15,7 @@ from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.state_model import state_evidence
 from nufleet.robot_agent.flight.unread import UnreadTest, unread_test
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.wire import codec
 
 SPEC = double_integrator().spec
 NAMES = ("position", "velocity")
@@ -99,6 +100,21 @@ def test_a_test_that_was_not_written_to_its_end_is_cut_off(tmp_path: Path) -> No
         assert len(kept.read_bytes()) == len(whole) // 2
     memory.keep_test(one(1))
     assert memory.exported() == read_at_once(None, 0, 1).exported()
+
+
+def test_an_agent_that_was_upgraded_starts_without_the_tests_of_its_earlier_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    Memory(tmp_path).keep_test(one())
+    with monkeypatch.context() as upgraded:
+        upgraded.setattr(codec, "PROTOCOL_VERSION", codec.PROTOCOL_VERSION + 1)
+        upgraded.setattr(codec, "_parse_header", codec._parse_header.__wrapped__)  # no memory
+        memory = Memory(tmp_path)
+    assert "of another version of nufleet" in caplog.text
+    assert memory.flown_s == {}
+    assert memory.own_model(SPEC).model is None
+    memory.keep_test(one())
+    assert Memory(tmp_path).own_model(SPEC).model is not None
 
 
 def test_tests_that_a_crash_left_beside_a_newer_model_are_not_learned_from_again(
