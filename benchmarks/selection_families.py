@@ -136,6 +136,12 @@ def slow(rng: np.random.Generator) -> LinearLoop:
     return LinearLoop((Mode(omega, damping, rng.uniform(0.0, 0.5)),), rng.uniform(0.0, 0.1))
 
 
+def very_slow(rng: np.random.Generator) -> LinearLoop:
+    """A loop whose band hardly begins in the one over which it is compared."""
+    omega, damping = rng.uniform(0.1, 0.5), rng.uniform(0.6, 1.2)
+    return LinearLoop((Mode(omega, damping, rng.uniform(0.0, 0.5)),), rng.uniform(0.0, 0.1))
+
+
 def quick(rng: np.random.Generator) -> LinearLoop:
     """A loop with half of its band near the Nyquist frequency of coarse samples."""
     omega, damping = rng.uniform(5.0, 15.0), rng.uniform(0.4, 1.0)
@@ -231,6 +237,7 @@ FAMILIES: dict[str, Family] = {
     "misstated-light": Family(lightly_damped, stated=misstated),
     "misstated-flexible": Family(flexible, stated=misstated),
     "slow-in-wide-band": Family(slow, band_rad_s=(0.1, 20.0)),
+    "very-slow-in-wide-band": Family(very_slow, band_rad_s=(0.1, 20.0)),
     **{name: Family(draw) for name, draw in NONLINEAR.items()},
     "mixed-nonlinear": Family(_mixed),
     "coarse-samples": Family(quick, band_rad_s=(0.3, 20.0), sample_time_s=0.1),

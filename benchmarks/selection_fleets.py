@@ -20,7 +20,7 @@ from benchmarks.selection_families import (
 )
 from nufleet.orchestrator.conduct.attempts import ATTEMPTS, retried
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
-from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.orchestrator.study.tone_choice import WEIGHT_EXPONENT, first_look
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
@@ -29,7 +29,6 @@ from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
-from nufleet.shared.frequency_test.multitone import weights_of
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 NOISE_LEVELS_M = {"low": 0.003, "high": 0.012}
@@ -174,7 +173,7 @@ def _linearised(
     times_s = step_s * np.arange(3 * period)
     for seed in range(TRUTH_MOTIONS):
         phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, len(omega))
-        reference = np.cos(np.outer(times_s, omega) + phases) @ weights_of(omega)
+        reference = np.cos(np.outer(times_s, omega) + phases) @ omega**WEIGHT_EXPONENT
         reference *= float(np.std(played)) / float(np.std(reference))
         output = robot.moved(reference)
         # Three periods, of which the last is taken, when everything has settled.

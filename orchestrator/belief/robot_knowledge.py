@@ -14,7 +14,6 @@ from nufleet.orchestrator.belief.amplitude_dependence import (
     differ,
 )
 from nufleet.orchestrator.belief.common_error import CommonError
-from nufleet.orchestrator.belief.expected_noise import ExpectedNoise
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
@@ -41,6 +40,9 @@ INFORMATIVE_STD_MAX = 0.05
 """Largest standard deviation of a test's estimates at which agreement shows that the amplitude has
 no effect."""
 
+FLIGHT_TEST_STD = 0.02
+"""Standard deviation that is expected of a test's estimates while the robot was never tested."""
+
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
 
@@ -49,15 +51,6 @@ DOUBT_STAYS = 10.0
 
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
-
-SILENT = 0.2
-"""Magnitude of a response below which tests of the whole band leave tones out, which would take up
-most of the acceleration that a robot allows."""
-SURELY = 0.975
-ANSWERED_POINTS = 48
-ANSWERED_SEED = 0
-"""Probability with which it is to be below that, the number of frequencies at which this is looked
-at, and the seed of the samples: the answer is the same until something new is known."""
 VARIANCE_MIN = 1e-10
 """Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
 be lost to rounding."""
@@ -102,10 +95,8 @@ class RobotKnowledge:
         self._doubts: list[FloatArray] = []
         """Variance of each test's estimates that is the same in all tests, however many there are.
         """
-        self.noise = ExpectedNoise(spec.axes[0])
-        """The noise that is expected in its next test."""
+        self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
-        self._answered: tuple[ResponseModel, float] | None = None
 
     def learn(
         self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
@@ -131,7 +122,7 @@ class RobotKnowledge:
         degrees = response.degrees_of_freedom[known]
         if flight is None:
             variance = pooled_variance(omega, response.variance[known], degrees)
-            self.noise.learn(omega, np.maximum(variance, VARIANCE_MIN), response.amplitude)
+            self._noise.append(np.stack([omega, np.maximum(variance, VARIANCE_MIN) / len(omega)]))
         else:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
@@ -282,8 +273,8 @@ class RobotKnowledge:
 
     def forget(self) -> None:
         """Forget all tests."""
-        self.responses, self._tones, self._doubts, self._model = [], [], [], None
-        self.noise.forget()
+        self.responses, self._tones, self._noise, self._model = [], [], [], None
+        self._doubts = []
 
     @property
     def tests(self) -> int:
@@ -306,7 +297,7 @@ class RobotKnowledge:
     @property
     def flown_only(self) -> bool:
         """Whether all that is known of the robot comes from flights."""
-        return bool(self.responses) and not self.noise.known
+        return bool(self.responses) and not self._noise
 
     @property
     def omega_rad_s(self) -> FloatArray:
@@ -335,24 +326,28 @@ class RobotKnowledge:
             self._model = ResponseModel(self.tones, self.prior, common=common)
         return self._model
 
-    @property
-    def answers_to_rad_s(self) -> float:
-        """Frequency in rad/s above which the robot surely hardly answers; at most the upper end of
-        the band, and that before its first test."""
-        if not self._tones:
-            return self._omega_max_rad_s
-        model = self.model
-        if self._answered is None or self._answered[0] is not model:
-            omega = np.geomspace(self._omega_max_rad_s, self.lowest_rad_s, ANSWERED_POINTS)
-            drawn = model.draw(omega, CHECK_SAMPLES, np.random.default_rng(ANSWERED_SEED))
-            silent = np.quantile(np.abs(drawn), SURELY, axis=0) < SILENT
-            heard = len(omega) if silent.all() else int(np.argmin(silent))
-            self._answered = model, float(omega[max(heard - 1, 0)])
-        return self._answered[1]
-
     def forget_model(self) -> None:
         """Forget the fitted belief, which takes about a megabyte, until it is asked for again."""
-        self._model = self._answered = None
+        self._model = None
+
+    def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
+        """Predict the variances of a test's estimates from the earlier tests.
+
+        The tones of a test share its power, and their energy grows with time, so variances are
+        proportional to the number of tones and inversely proportional to the measuring time.
+
+        Args:
+            omega_rad_s: Frequencies of the test's tones in rad/s, shape (tones,).
+            times_as_long: Measuring time of the test, as a multiple of that of the first test.
+
+        Returns:
+            Predicted variances E|ẑ − z|², shape (tones,).
+        """
+        if not self._noise:
+            return np.full(len(omega_rad_s), FLIGHT_TEST_STD**2 / times_as_long)
+        omega, density = np.concatenate(self._noise, axis=1)
+        nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
+        return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
     def lasting_doubt(self, omega_rad_s: FloatArray) -> FloatArray:
         """Return the part of the variance that no further test reduces.

@@ -46,10 +46,6 @@ CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
 looks; a first test that reaches as low saves some of these, and all robots play it."""
 
-LOWEST_SPAN = 5.5
-"""Least ratio of the highest to the lowest tone that a lowest look may have, also of a robot that
-answers to less: three tones, since a single one would have to last for three periods."""
-
 ROUNDING = 1e-6
 """Share by which a tone may be higher than it was asked for."""
 
@@ -141,10 +137,7 @@ class Looks:
         wanted = first.axes if lacking is None else tuple(lacking)
         spec, band_rad_s = self._robots[name].spec, self._plan.band_rad_s
         if len(first.axes) == 1:
-            lowest_rad_s = self._settings.lowest * band_rad_s[0]
-            answered_rad_s = self._known(name, first.axes[0]).answers_to_rad_s
-            top_rad_s = min(band_rad_s[1], max(answered_rad_s, LOWEST_SPAN * lowest_rad_s))
-            return lowest_look((band_rad_s[0], top_rad_s), spec, lowest_rad_s, first)
+            return lowest_look(band_rad_s, spec, self._settings.lowest * band_rad_s[0], first)
         axes = (*wanted, *(axis for axis in first.axes if axis not in wanted))
         reach_rad_s = self._reach_rad_s(name, first)
         for low in range(min(len(wanted), max(LOWEST_TOGETHER)), 0, -1):
@@ -161,7 +154,6 @@ class Looks:
             centres_rad_s: Frequencies in rad/s to look at more closely.
         """
         for first in self._firsts[name]:
-            answered = [self._known(name, axis).answers_to_rad_s for axis in first.axes]
             looks = closer_looks(
                 self._plan.band_rad_s,
                 first.measure_s,
@@ -169,7 +161,6 @@ class Looks:
                 centres_rad_s,
                 self._settings.window_tones,
                 first.axes,
-                max(answered),
             )
             lowest = [self.lowest(name, first, [axis]) for axis in first.axes]
             lacking = self._lacking(name, first)
@@ -196,21 +187,21 @@ class Looks:
         Returns:
             Samples at all tones, shape (samples, tones), and variances, shape (tones,).
         """
+        share = self._settings.other_amplitude if self._smaller(name, choice) else 1.0
         measured, variances = [], []
-        wanted: Sequence[float | None]
-        wanted = self._smaller(name, choice) or [None] * len(choice.axes)
-        for place, amplitude in zip(choice.axes, wanted, strict=True):
+        for place in choice.axes:
             omega = choice.omegas_of(place)
             # Samples exist on the grid only, so each tone takes them from the next grid point.
             at = np.searchsorted(grid_rad_s, omega).clip(0, len(grid_rad_s) - 1)
             measured.append(z[self._plan.axes[place]][:, at])
             doubt = self._known(name, place).lasting_doubt(omega)
-            variances.append(self._expected_variance(name, choice, place, amplitude) + doubt)
+            noise = self._expected_variance(name, choice, place)
+            variances.append(noise / share**2 + doubt)
         return np.concatenate(measured, axis=1), np.concatenate(variances)
 
     def reached(self, name: str) -> bool:
         """Whether tests of the robot reached down to the lower end of the band on every axis."""
-        return not any(self._lacking(name, first) for first in self._firsts[name])
+        return not self.due([name])
 
     def _settle_s(self, name: str) -> float:
         return self._settings.settle_share * self._robots[name].settling_time_s
@@ -218,39 +209,19 @@ class Looks:
     def _known(self, name: str, place: int) -> RobotKnowledge:
         return self._robots[name].axes[self._plan.axes[place]]
 
-    def _expected_variance(
-        self, name: str, choice: ToneChoice, place: int, amplitude: float | None
-    ) -> FloatArray:
-        """Return the variances on one axis at an amplitude, shape (tones,)."""
-        times_as_long = choice.measure_s / self._first_of(name, place).measure_s
-        noise = self._known(name, place).noise
-        return noise.variance(choice.omegas_of(place), times_as_long, amplitude)
+    def _expected_variance(self, name: str, choice: ToneChoice, place: int) -> FloatArray:
+        """Return the variances on one axis at the amplitude of the first test, shape (tones,)."""
+        first = self._first_of(name, place)
+        known = self._known(name, place)
+        return known.expected_variance(choice.omegas_of(place), choice.measure_s / first.measure_s)
 
-    def _smaller(self, name: str, choice: ToneChoice) -> list[float] | None:
-        """Return the amplitudes of a lowest look that is to be smaller than earlier tests.
-
-        It is None where noise leaves no room for that, or where the robot chooses another amplitude
-        anyway, as it does for tones that are much slower than those of its first test.
-        """
+    def _smaller(self, name: str, choice: ToneChoice) -> bool:
+        """Whether a test is played at another amplitude, as lowest looks are if noise allows."""
         if not self._is_lowest(name, choice):
-            return None
-        known = [self._known(name, place) for place in choice.axes]
-        played = [one.amplitude for one in known if one.amplitude is not None]
-        if len(played) < len(known):
-            return None
-        share = self._settings.other_amplitude
-        own = [
-            one.noise.amplitude(choice.omegas_of(place))
-            for one, place in zip(known, choice.axes, strict=True)
-        ]
-        if all(share * one >= most for one, most in zip(own, played, strict=True)):
-            return None
-        wanted = [share * most for most in played]
-        variances = [
-            self._expected_variance(name, choice, place, amplitude)
-            for place, amplitude in zip(choice.axes, wanted, strict=True)
-        ]
-        return wanted if np.median(np.concatenate(variances)) <= NOISY**2 else None
+            return False
+        variances = [self._expected_variance(name, choice, place) for place in choice.axes]
+        quiet = (self._settings.other_amplitude * NOISY) ** 2
+        return bool(np.median(np.concatenate(variances)) <= quiet)
 
     def _is_lowest(self, name: str, choice: ToneChoice) -> bool:
         """Whether a test is a lowest look that is not the robot's first test as well."""
@@ -315,9 +286,13 @@ class Looks:
     def _amplitudes(self, name: str, choice: ToneChoice) -> tuple[float, ...] | None:
         """Return the amplitudes of a test; None where the robot chooses them itself."""
         axes = [self._plan.axes[place] for place in choice.axes]
-        wanted: Sequence[float | None] = [self._plan.amplitude] * len(axes)
+        wanted = [self._plan.amplitude] * len(axes)
         if self._is_lowest(name, choice):
-            wanted = self._smaller(name, choice) or [None] * len(axes)
+            wanted = [None] * len(axes)
+            if self._smaller(name, choice):
+                share = self._settings.other_amplitude
+                played = [self._known(name, place).amplitude for place in choice.axes]
+                wanted = [None if one is None else share * one for one in played]
         if all(one is None for one in wanted):
             return None
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]

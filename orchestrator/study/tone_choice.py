@@ -12,12 +12,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, Tone
-from nufleet.shared.frequency_test.multitone import (
-    free_of_products,
-    interleaved,
-    multitone,
-    weights_of,
-)
+from nufleet.shared.frequency_test.multitone import free_of_products, interleaved, multitone
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
@@ -54,6 +49,9 @@ STEP = 2
 
 At a spacing of two beats, least squares separates the tones as if each were alone.
 """
+
+WEIGHT_EXPONENT = -0.5
+"""Exponent of ω in the tones' amplitudes, between equal amplitudes (0) and equal speeds (−1)."""
 
 TONES_MAX = 64
 
@@ -113,7 +111,7 @@ class ToneChoice:
             amplitudes: Peak of the reference of each axis that plays, in the order of `self.axes`
                 and in the axis's unit; None leaves them to the robot.
         """
-        weights = [weights_of(np.array(hand) * self.base_rad_s) for hand in self._hands]
+        weights = [(np.array(hand) * self.base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
         tones = multitone(self.base_rad_s, self._hands, weights)
         peaks: Sequence[float | None] = amplitudes or [None] * len(tones)
         first, *also = (
@@ -288,7 +286,6 @@ def closer_looks(
     centres_rad_s: Sequence[float],
     window_tones: int,
     axes: tuple[int, ...] = (0,),
-    answers_to_rad_s: float = math.inf,
 ) -> list[ToneChoice]:
     """Return the candidates for a next test, without duplicates.
 
@@ -303,8 +300,6 @@ def closer_looks(
         centres_rad_s: Frequencies in rad/s to look at more closely.
         window_tones: Number of tones per axis around each centre.
         axes: Places of the axes that play, among those of the study.
-        answers_to_rad_s: Frequency in rad/s beyond which tests of the whole band leave tones out,
-            as the robot hardly answers to them; windows around a frequency do not.
     """
     low, high = band_rad_s
     found: dict[ToneChoice, None] = {}
@@ -313,7 +308,7 @@ def closer_looks(
         total_s = length * measure_s
         base = 2 * math.pi / total_s
         for offset, turn in whole:
-            choice = _between((low, min(high, answers_to_rad_s)), total_s, offset, turn)
+            choice = _between((low, high), total_s, offset, turn)
             if choice is not None and len(choice.harmonics) <= TONES_MAX * len(axes):
                 found[choice] = None
         for centre in centres_rad_s:

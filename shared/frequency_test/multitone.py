@@ -17,9 +17,6 @@ CLIPPING_ROUNDS = 60
 RAMPED = 0.6
 """Share of the limits that tones may take, so that ramps, which add to them, find room."""
 
-WEIGHT_EXPONENT = -0.5
-"""Exponent of ω in the tones' amplitudes, between equal amplitudes (0) and equal speeds (−1)."""
-
 SAMPLES_PER_PERIOD = 8
 """Samples per period of the fastest tone during the search; more would find the same phases."""
 
@@ -69,38 +66,6 @@ def interleaved(harmonics: Sequence[int], axes: int) -> tuple[tuple[int, ...], .
         axes: Number of axes.
     """
     return tuple(tuple(harmonics[axis::axes]) for axis in range(axes))
-
-
-def weights_of(omega_rad_s: FloatArray) -> FloatArray:
-    """Return the relative amplitudes of the tones of one axis, shape (tones,)."""
-    return np.asarray(omega_rad_s**WEIGHT_EXPONENT)
-
-
-def shares_of(omega_rad_s: FloatArray) -> FloatArray:
-    """Return each tone's amplitude as a share of the peak, as if all sums peaked alike.
-
-    Args:
-        omega_rad_s: Frequencies of the tones of one axis, shape (tones,).
-    """
-    weights = weights_of(omega_rad_s)
-    return np.asarray(weights / np.linalg.norm(weights))
-
-
-def foreseen_amplitude(omega_rad_s: FloatArray, axis: AxisSpec) -> float:
-    """Return the peak that limits allow a sum of tones, as if all sums peaked alike.
-
-    It takes no search for phases, and is good for comparing tests with each other.
-
-    Args:
-        omega_rad_s: Frequencies of the tones of one axis, shape (tones,).
-        axis: The axis with its limits.
-    """
-    shares = shares_of(omega_rad_s)
-    return min(
-        axis.amplitude_max,
-        axis.velocity_max / float(np.linalg.norm(shares * omega_rad_s)),
-        axis.acceleration_max / float(np.linalg.norm(shares * omega_rad_s**2)),
-    )
 
 
 def largest_amplitudes(

@@ -93,26 +93,12 @@ def test_tones_that_could_not_be_estimated_are_left_out() -> None:
     assert np.all(np.isfinite(knowledge.model.draw(GRID, 50, rng)))
 
 
-def test_a_robot_is_known_to_answer_up_to_its_bandwidth_once_tests_have_shown_it() -> None:
-    rng = np.random.default_rng(0)
-    knowledge = RobotKnowledge("robot", SPEC, BAND[1])
-    assert knowledge.answers_to_rad_s == BAND[1]
-    for _ in range(3):
-        knowledge.learn(one_test(Loop(0.8), rng, 31), rng)
-    answered = float(np.abs(Loop(0.8).z(np.array([knowledge.answers_to_rad_s])))[0])
-    assert 0.05 < answered < 0.25
-    assert knowledge.answers_to_rad_s < 0.7 * BAND[1]
-    quick = RobotKnowledge("robot", SPEC, BAND[1])
-    quick.learn(one_test(Loop(6.0), rng), rng)
-    assert quick.answers_to_rad_s == BAND[1]
-
-
 def test_a_test_is_expected_to_be_as_noisy_as_those_before_it() -> None:
     rng = np.random.default_rng(0)
     knowledge = RobotKnowledge("robot", SPEC, BAND[1])
     first = one_test(LOOP, rng)
     knowledge.learn(first, rng)
-    same = knowledge.noise.variance(first.omega_rad_s, 1.0)
-    longer = knowledge.noise.variance(first.omega_rad_s, 4.0)
+    same = knowledge.expected_variance(first.omega_rad_s, 1.0)
+    longer = knowledge.expected_variance(first.omega_rad_s, 4.0)
     assert np.median(same) == pytest.approx(1e-4, rel=0.6)
     np.testing.assert_allclose(longer, same / 4)

@@ -87,43 +87,6 @@ def test_the_lowest_look_reaches_down_to_twice_the_lower_end_at_half_the_amplitu
     assert looks.asked_s > looks.lowest_asked_s > 0.5 * looks.asked_s
 
 
-def test_later_tests_of_a_slow_robot_play_what_it_answers_to_as_large_as_it_allows() -> None:
-    band = (0.1, 20.0)
-    spec = SPEC.model_copy(update={"omega_max_rad_s": 20.0})
-    looks, known = looks_of(spec, band)
-    rng = np.random.default_rng(0)
-    first = looks.first["robot"]
-    played = plan_excitation(looks.excitation("robot", first), spec, "robot").amplitude
-    response = Loop(1.0).answer(looks.excitation("robot", first), 0.01, rng)
-    known.learn(replace(response, amplitude=played), rng)
-    answered_rad_s = known.axes["x"].answers_to_rad_s
-    assert answered_rad_s < 10.0
-    for choice in looks.candidates("robot", ()):
-        assert choice.omega_rad_s[-1] <= answered_rad_s * (1 + 1e-9)
-    # What is decisive is looked at all the same.
-    around = [choice.omega_rad_s for choice in looks.candidates("robot", (15.0,))]
-    assert any(omega[0] < 15.0 < omega[-1] for omega in around)
-    (lowest,) = looks.due(["robot"]).values()
-    test = looks.excitation("robot", lowest)
-    assert plan_excitation(test, spec, "robot").amplitude > 2 * played
-
-
-@pytest.mark.parametrize("omega_rad_s", [0.05, 0.1, 0.2, 0.3])
-def test_the_lowest_look_of_a_robot_that_answered_to_nothing_has_three_tones(
-    omega_rad_s: float,
-) -> None:
-    spec = SPEC.model_copy(update={"omega_max_rad_s": 20.0})
-    looks, known = looks_of(spec, (0.1, 20.0))
-    rng = np.random.default_rng(0)
-    known.learn(
-        Loop(omega_rad_s).answer(looks.excitation("robot", looks.first["robot"]), 0.003, rng), rng
-    )
-    (lowest,) = looks.due(["robot"]).values()
-    assert lowest.omega_rad_s[0] == pytest.approx(0.2)
-    assert 3 <= len(lowest.omega_rad_s) <= 6
-    assert looks.duration_s("robot", lowest) < 50.0
-
-
 def test_the_lowest_look_is_as_low_as_the_longest_motion_of_the_robot_allows() -> None:
     short = SPEC.model_copy(update={"duration_max_s": 35.0})
     looks, _ = looks_of(short)
