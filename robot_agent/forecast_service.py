@@ -99,7 +99,8 @@ class ForecastService:
         self.end()
         job = self._begun(key, request)
         with self._lock:
-            self._job = job
+            # A busy machine may have taken seconds to start the process, and its requester waited.
+            job.asked_s, self._job = self._clock(), job
         return PathForecast(foreseen=job.found())
 
     def foretold(self, motion: Tracking) -> PredictedError | None:

@@ -139,7 +139,10 @@ def test_a_forecast_ends_when_nobody_asks_for_it_any_more(
     wait_until(lambda: rehearsals() == [])
 
 
-def test_a_robot_rehearses_for_one_at_a_time(orchestrator: Orchestrator, lab: Lab) -> None:
+def test_a_robot_rehearses_for_one_at_a_time(
+    orchestrator: Orchestrator, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(forecast_service, "PATIENCE_S", PATIENCE_S)
     other = lab.orchestrator("orchestrator-2").fleet
 
     def ask_as_well(done: int) -> None:
@@ -150,7 +153,8 @@ def test_a_robot_rehearses_for_one_at_a_time(orchestrator: Orchestrator, lab: La
         orchestrator.fleet.forecast("a", LONG, (NONE,), on_foreseen=ask_as_well)
 
 
-def test_an_agent_that_ends_leaves_no_rehearsal(lab: Lab) -> None:
+def test_an_agent_that_ends_leaves_no_rehearsal(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forecast_service, "PATIENCE_S", PATIENCE_S)
     agent = lab.agent("a", LaggedRobot(noise_std_m=1e-3))
     fleet = lab.orchestrator().fleet
     Pilot(fleet, "run").along("a", Way(inverse="baseline"), PATH, "first")

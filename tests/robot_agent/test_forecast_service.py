@@ -8,6 +8,7 @@ import os
 import subprocess
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,6 +108,21 @@ def test_a_process_that_cannot_be_started_is_reported_and_its_ways_are_answered(
     assert answer is not None
     assert "could not begin: [Errno 12] Cannot allocate memory" in answer.reason
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
+
+
+def test_a_forecast_that_took_long_to_begin_has_a_requester_still(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = subprocess.Popen
+
+    def start_late(*args: Any, **named: Any) -> subprocess.Popen[bytes]:
+        lab.now_s += 60.0
+        return start(*args, **named)
+
+    monkeypatch.setattr(subprocess, "Popen", start_late)
+    lab.found(LEARNS)
+    lab.service.look()
+    assert len(rehearsals()) == 1
 
 
 class SlowPlanner(Planner):
