@@ -35,9 +35,17 @@ for each of them, so that looking takes about a hundredth of a processor at most
 
 _LOOK_S = 0.2
 
-ASKING_AT_ONCE = 256
-"""Number of goals and results that may be asked for at the same time, and likewise of
-cancellations, which do not wait for these."""
+ASKING_AT_ONCE = 32
+"""Number of goals and results that are asked for at the same time. A process that serves hundreds
+of robots is thus asked for further ones only as fast as it answers: if it began all motions at
+once, those that it began first would stand still until it has begun the last."""
+
+SLOW_S = 0.5
+"""Time after which a question without an answer is no longer counted among them, in s: its robot
+may be cut off or frozen, and others are not to wait for that."""
+
+CANCELLING_AT_ONCE = 256
+"""Number of cancellations that may be asked for at the same time; they wait for nothing else."""
 
 Answer = Reply[GoalAccepted] | Reply[GoalResult]
 
@@ -62,15 +70,25 @@ class Errand:
     """Ids of earlier goals that may still move the robot; they are cancelled first."""
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """A question that was put to a robot."""
+
+    run: _Run
+    ask: Ask
+    answer: Answer
+    asked_s: float
+
+
 class GoalLoop:
     """Pursues errands; a context manager whose exit does not wait for any robot."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._askers = ThreadPoolExecutor(ASKING_AT_ONCE, thread_name_prefix="ask")
+        self._askers = ThreadPoolExecutor(CANCELLING_AT_ONCE, thread_name_prefix="ask")
         self._waiting: deque[tuple[_Run, Ask]] = deque()
-        self._open: list[tuple[_Run, Ask, Answer]] = []
+        self._open: list[_Asked] = []
         self._running: dict[Errand, _Run] = {}
         self._interrupted = False
         self._crash: BaseException | None = None
@@ -156,6 +174,8 @@ class GoalLoop:
 
     def _interrupt(self) -> None:
         self._interrupted = True
+        # The robots are asked to forgo the goals that have not been sent yet, as if they had been.
+        self._waiting = deque(one for one in self._waiting if one[1].question is not Question.GOAL)
         self._have_taken(events.InterruptAsked(), self._running.values())
 
     def _have_taken(self, event: events.Event, runs: Iterable[_Run]) -> None:
@@ -168,22 +188,29 @@ class GoalLoop:
         """Ask a question, or let it wait until fewer of its kind are open."""
         if ask.question is Question.CANCEL:
             self._askers.submit(run.cancel, ask)
-        elif len(self._open) < ASKING_AT_ONCE:
-            self._open.append((run, ask, run.question(ask)))
         else:
             self._waiting.append((run, ask))
+            self._ask_waiting()
 
     def _take_replies(self) -> None:
         asked, self._open = self._open, []
-        for run, ask, answer in asked:
-            if not answer.over():
-                self._open.append((run, ask, answer))
-            elif answer.unsure():
-                self._askers.submit(run.answer, ask, answer.take)
+        for one in asked:
+            if not one.answer.over():
+                self._open.append(one)
+            elif one.answer.unsure():
+                self._askers.submit(one.run.answer, one.ask, one.answer.take)
             else:
-                self.post(partial(run.answer, ask, answer.take))
-        while self._waiting and len(self._open) < ASKING_AT_ONCE:
-            self.ask(*self._waiting.popleft())
+                self.post(partial(one.run.answer, one.ask, one.answer.take))
+        self._ask_waiting()
+
+    def _ask_waiting(self) -> None:
+        now_s = time.monotonic()
+        counted = sum(now_s - one.asked_s < SLOW_S for one in self._open)
+        while self._waiting and counted < ASKING_AT_ONCE:
+            run, ask = self._waiting.popleft()
+            if run.pursuit.ended is None:
+                self._open.append(_Asked(run, ask, run.question(ask), now_s))
+                counted += 1
 
     def ended(self, errand: Errand, ended: Ended) -> None:
         """Report the end of an errand and forget it."""

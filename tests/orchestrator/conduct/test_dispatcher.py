@@ -18,6 +18,7 @@ from nufleet.orchestrator.conduct.attempts import ATTEMPTS, Attempts
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.conduct.trial_log import TrialLog
+from nufleet.orchestrator.fleet import goal_loop
 from nufleet.orchestrator.fleet.goal_events import Ended
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
 from nufleet.orchestrator.repository.errors import RepositoryError, StaleEpochError
@@ -67,6 +68,102 @@ def test_a_round_measures_every_robot_once_and_asks_it_for_a_goal_and_a_result(
         assert outcome.robot_time_s == pytest.approx(outcome.result.plan.duration_s)
     assert [robot.motions for robot in lab.robots.values()] == [1, 1, 1]
     assert not lab.attempts
+
+
+class Held:
+    """The replies to one query, which do not arrive before they are let go."""
+
+    def __init__(self, replies: Replies, let_go: threading.Event) -> None:
+        self._replies, self._let_go = replies, let_go
+
+    def over(self) -> bool:
+        return self._let_go.is_set() and self._replies.over()
+
+    def all(self) -> list[bytes]:
+        return self._replies.all()
+
+
+def test_robots_are_asked_only_as_fast_as_they_answer(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_loop, "ASKING_AT_ONCE", 1)
+    monkeypatch.setattr(goal_loop, "SLOW_S", PATIENCE_S)
+    open_at_once: list[int] = []
+    asked: list[Replies] = []
+    ask = lab.client.ask
+
+    def noting(key: str, payload: bytes, *, timeout_s: float) -> Replies:
+        open_at_once.append(sum(not replies.over() for replies in asked))
+        asked.append(ask(key, payload, timeout_s=timeout_s))
+        return asked[-1]
+
+    monkeypatch.setattr(lab.client, "ask", noting)
+    outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
+    assert all(isinstance(outcome, Measured) for outcome in outcomes.values())
+    assert max(open_at_once) == 0
+
+
+def test_a_robot_that_does_not_answer_holds_up_no_other(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_loop, "ASKING_AT_ONCE", 1)
+    others_moved, in_time = threading.Event(), []
+    ask = lab.client.ask
+
+    def holding(key: str, payload: bytes, *, timeout_s: float) -> Replies | Held:
+        replies = ask(key, payload, timeout_s=timeout_s)
+        return Held(replies, others_moved) if key.startswith(KEYS.robot("r1", "")) else replies
+
+    monkeypatch.setattr(lab.client, "ask", holding)
+
+    def await_others() -> None:
+        for name in ("r2", "r3"):
+            moved = lab.fleet.watch(name).wait_until(
+                lambda w: w.state is not None and w.state.last_goal_id is not None,
+                timeout_s=PATIENCE_S,
+            )
+            in_time.append(moved)
+        others_moved.set()
+
+    waiting = threading.Thread(target=await_others)
+    waiting.start()
+    outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
+    waiting.join()
+    assert in_time == [True, True]
+    assert all(isinstance(outcome, Measured) for outcome in outcomes.values())
+    assert [lab.robots[name].motions for name in ("r1", "r2", "r3")] == [1, 1, 1]
+
+
+def test_a_goal_that_waits_to_be_sent_is_not_sent_after_an_interrupt(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_loop, "ASKING_AT_ONCE", 1)
+    monkeypatch.setattr(goal_loop, "SLOW_S", PATIENCE_S)
+    let_go = threading.Event()
+    asked: list[str] = []
+    ask, ask_all = lab.client.ask, lab.client.ask_all
+    by = principal_of(lab.fleet.orchestrator_id)
+    dispatcher = lab.dispatcher()
+
+    def cancelling(key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
+        let_go.set()
+        return ask_all(key, payload, timeout_s=timeout_s)
+
+    def holding(key: str, payload: bytes, *, timeout_s: float) -> Replies | Held:
+        asked.append(key)
+        replies = ask(key, payload, timeout_s=timeout_s)
+        if key != KEYS.request("r1", by, "goal"):
+            return replies
+        dispatcher.interrupt()
+        return Held(replies, let_go)
+
+    monkeypatch.setattr(lab.client, "ask", holding)
+    monkeypatch.setattr(lab.client, "ask_all", cancelling)
+    with pytest.raises(Interrupted):
+        dispatcher.run(lab.open_tests(r1=TEST, r2=TEST, r3=TEST))
+    assert KEYS.request("r1", by, "goal") in asked
+    assert not {KEYS.request(name, by, "goal") for name in ("r2", "r3")} & set(asked)
+    assert [lab.robots[name].motions for name in ("r2", "r3")] == [0, 0]
 
 
 def test_a_test_whose_end_was_not_stored_is_sent_again_and_moves_its_robot_once(lab: Lab) -> None:
