@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import suppress
 
 import psutil
@@ -21,7 +22,14 @@ def rehearsals() -> list[psutil.Process]:
 
 
 def _names(process: psutil.Process) -> list[str]:
-    """Return the names of a process's program and of its arguments."""
+    """Return the names of a process's program and of its arguments.
+
+    A process that has just begun has no arguments yet when its parent already continues.
+    """
     with suppress(psutil.NoSuchProcess):  # it has just ended
-        return [process.name(), *process.cmdline()]
+        while not (arguments := process.cmdline()):
+            if process.status() == psutil.STATUS_ZOMBIE:
+                break
+            time.sleep(0.001)
+        return [process.name(), *arguments]
     return []
