@@ -175,7 +175,9 @@ class GoalLoop:
     def _interrupt(self) -> None:
         self._interrupted = True
         # The robots are asked to forgo the goals that have not been sent yet, as if they had been.
-        self._waiting = deque(one for one in self._waiting if one[1].question is not Question.GOAL)
+        self._waiting = deque(
+            (run, ask) for run, ask in self._waiting if ask.question is not Question.GOAL
+        )
         self._have_taken(events.InterruptAsked(), self._running.values())
 
     def _have_taken(self, event: events.Event, runs: Iterable[_Run]) -> None:

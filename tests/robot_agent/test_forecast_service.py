@@ -110,7 +110,7 @@ def test_a_process_that_cannot_be_started_is_reported_and_its_ways_are_answered(
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
-def test_a_forecast_that_took_long_to_begin_has_a_requester_still(
+def test_a_forecast_that_took_long_to_begin_still_has_a_requester(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     start = subprocess.Popen
