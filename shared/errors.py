@@ -51,6 +51,10 @@ class ProtocolVersionError(MalformedMessageError):
     """A payload written by another version of the protocol."""
 
 
+class DamagedMessageError(MalformedMessageError):
+    """A payload that was altered on its way; asked again, its sender sends it whole."""
+
+
 class RefusedError(NufleetError):
     """A robot refused a request; `code` is meant for programs, the message for people."""
 

@@ -13,6 +13,7 @@ from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.shared.errors import MalformedMessageError, RefusedError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.frame import CHECKSUM, sealed
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
@@ -123,19 +124,23 @@ def assert_serves(fleet: Fleet, robot: str) -> None:
 def _questions(count: int, rng: np.random.Generator) -> Iterator[tuple[str, bytes]]:
     examples = example_messages()
     by_leaf = {
-        leaf: Mutator(rng, [encode(m) for m in examples if isinstance(m, kind)])
+        leaf: Mutator(rng, [_unsealed(m) for m in examples if isinstance(m, kind)])
         for leaf, kind in LEAVES.items()
     }
-    anything = Mutator(rng, [encode(m) for m in examples])
+    anything = Mutator(rng, [_unsealed(m) for m in examples])
     leaves = list(LEAVES)
     for number in range(count):
         leaf = leaves[number % len(leaves)]
         if number % OVERSIZED_EVERY == 0:
             yield leaf, bytes(OVERSIZED_BYTES[rng.integers(len(OVERSIZED_BYTES))])
         elif rng.random() < 0.2:
-            yield leaf, anything.payload()
+            yield leaf, sealed(anything.payload())
         else:
-            yield leaf, by_leaf[leaf].payload()
+            yield leaf, sealed(by_leaf[leaf].payload())
+
+
+def _unsealed(message: Message) -> bytes:
+    return encode(message)[: -CHECKSUM.size]
 
 
 def _refusal(reply: bytes) -> Refusal | None:

@@ -61,13 +61,22 @@ LOOK_AGAIN_S = 0.5
 """Interval in s between requests for the result of a goal that is still running: one heartbeat."""
 
 PASSING = frozenset(
-    {"owner-not-alive", "overloaded", "shutting-down", "two-agents", "frozen", "not-ready"}
+    {
+        "owner-not-alive",
+        "overloaded",
+        "shutting-down",
+        "two-agents",
+        "frozen",
+        "not-ready",
+        "damaged",
+    }
 )
 """Codes of refusals whose cause is temporary and not the goal itself.
 
 After a restart of the router, the robot may learn of the goal before it learns that the goal's
 owner is alive; an agent that restarts or was frozen accepts the goal a little later. A robot may
-lose its position estimate, or its link, for a moment.
+lose its position estimate, or its link, for a moment. A question that was altered on its way is not
+altered again.
 """
 
 NEVER_BEGINS = frozenset({"goal-ended", "stale-epoch"})

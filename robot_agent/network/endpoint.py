@@ -16,7 +16,12 @@ from functools import partial
 from typing import TypeVar
 
 from nufleet.robot_agent.journal.ledger import JournalError
-from nufleet.shared.errors import MalformedMessageError, RefusedError, TransportError
+from nufleet.shared.errors import (
+    DamagedMessageError,
+    MalformedMessageError,
+    RefusedError,
+    TransportError,
+)
 from nufleet.shared.wire.codec import Message, encode
 from nufleet.shared.wire.keys import FleetKeys, attributed
 from nufleet.shared.wire.messages import Refusal
@@ -172,6 +177,8 @@ def _answered(ask: Callable[[], A]) -> A | Refusal:
         return ask()
     except RefusedError as error:
         return Refusal(code=error.code, reason=error.reason)
+    except DamagedMessageError as error:
+        return Refusal(code="damaged", reason=str(error))
     except MalformedMessageError as error:
         return Refusal(code="malformed", reason=str(error))
     except JournalError as error:

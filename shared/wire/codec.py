@@ -22,9 +22,21 @@ from pydantic import (
 )
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import MalformedMessageError, ProtocolVersionError
+from nufleet.shared.errors import (
+    DamagedMessageError,
+    MalformedMessageError,
+    ProtocolVersionError,
+)
 from nufleet.shared.strict import Strict, validation_errors_as
-from nufleet.shared.wire.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
+from nufleet.shared.wire.frame import (
+    CHECKSUM,
+    LENGTHS,
+    MAGIC,
+    PREFIX_BYTES,
+    PROTOCOL_VERSION,
+    framed,
+    intact,
+)
 
 MAX_MESSAGE_BYTES = 15 * 2**20
 """Default cap on one frame, below the limit of sessions and routers. A test of ten minutes at
@@ -168,7 +180,7 @@ def encode(message: Message) -> bytes:
     if raw:
         # Pad the JSON with spaces, so that the arrays are aligned to 8 bytes at the receiver.
         body += b" " * (-(PREFIX_BYTES + len(head) + len(body)) % 8)
-    return b"".join([framed(head, body), *(a.tobytes() for a in raw)])
+    return framed(head, body, [a.tobytes() for a in raw])
 
 
 def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTES) -> M:
@@ -181,21 +193,19 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
 
     Raises:
         ProtocolVersionError: the frame was written by another protocol version.
+        DamagedMessageError: the frame is not the one that was sent.
         MalformedMessageError: the frame is not a valid message of an expected type for any other
             reason.
     """
     if len(payload) > max_bytes:
         raise MalformedMessageError(f"message of {len(payload)} bytes; at most {max_bytes} allowed")
-    if len(payload) < PREFIX_BYTES or payload[: len(MAGIC)] != MAGIC:
+    if len(payload) < PREFIX_BYTES + CHECKSUM.size or payload[: len(MAGIC)] != MAGIC:
         raise MalformedMessageError("not a nufleet message")
-    header_bytes, body_bytes = LENGTHS.unpack_from(payload, len(MAGIC))
-    if header_bytes > _MAX_HEADER_BYTES or body_bytes > MAX_BODY_BYTES + 8:
-        raise MalformedMessageError("a length in the frame is larger than allowed")
-    body_start = PREFIX_BYTES + header_bytes
-    arrays_start = body_start + body_bytes
-    if arrays_start > len(payload):
-        raise MalformedMessageError("a length in the frame is larger than the frame")
-    header = _parse_header(payload[PREFIX_BYTES:body_start])
+    if not intact(payload):
+        _check_version(payload)
+        raise DamagedMessageError("the frame was altered on its way: its checksum is wrong")
+    raw_header, body_start, arrays_start = _parts(payload)
+    header = _parse_header(raw_header)
     message_type = next((t for t in expected if t.__name__ == header.type), None)
     if message_type is None:
         wanted = " or ".join(t.__name__ for t in expected)
@@ -208,6 +218,31 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
             f"{header.type}: the frame holds an array that belongs to no field"
         )
     return message
+
+
+def _parts(payload: bytes) -> tuple[bytes, int, int]:
+    """Return the header of a frame, and where its body and its arrays begin."""
+    header_bytes, body_bytes = LENGTHS.unpack_from(payload, len(MAGIC))
+    if header_bytes > _MAX_HEADER_BYTES or body_bytes > MAX_BODY_BYTES + 8:
+        raise MalformedMessageError("a length in the frame is larger than allowed")
+    body_start = PREFIX_BYTES + header_bytes
+    arrays_start = body_start + body_bytes
+    if arrays_start > len(payload) - CHECKSUM.size:
+        raise MalformedMessageError("a length in the frame is larger than the frame")
+    return payload[PREFIX_BYTES:body_start], body_start, arrays_start
+
+
+def _check_version(payload: bytes) -> None:
+    """Raise a ProtocolVersionError for a frame whose header names another version.
+
+    Such a frame may end in another way.
+    """
+    try:
+        _parse_header(_parts(payload)[0])
+    except ProtocolVersionError:
+        raise
+    except MalformedMessageError:
+        return
 
 
 @lru_cache(_HEADERS_KEPT)
@@ -231,7 +266,7 @@ def _parse_header(raw: bytes) -> _Header:
 
 
 def _take_arrays(payload: bytes, start: int, headers: tuple[_ArrayHeader, ...]) -> list[np.ndarray]:
-    if start + sum(header.size_bytes for header in headers) != len(payload):
+    if start + sum(header.size_bytes for header in headers) != len(payload) - CHECKSUM.size:
         raise MalformedMessageError("the arrays do not fill the frame exactly")
     arrays = []
     for header in headers:

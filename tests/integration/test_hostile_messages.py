@@ -16,6 +16,7 @@ from puppet_robot import PuppetRobot
 
 from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES
 from nufleet.shared.errors import RefusedError
+from nufleet.shared.wire import frame
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
@@ -48,15 +49,15 @@ VALID: dict[str, Message] = {
 
 def framed(header: object, body: bytes = b"{}") -> bytes:
     head = json.dumps(header).encode()
-    return b"NUF1" + struct.pack("<II", len(head), len(body)) + head + body
+    return frame.framed(head, body)
 
 
 MALFORMED = {
     "empty": b"",
     "text": b"please stop",
     "magic alone": b"NUF1",
-    "lying lengths": b"NUF1" + struct.pack("<II", 2**32 - 1, 2**32 - 1),
-    "no JSON": b"NUF1" + struct.pack("<II", 2, 2) + b"\xff\xff\xff\xff",
+    "lying lengths": frame.sealed(b"NUF1" + struct.pack("<II", 2**32 - 1, 2**32 - 1)),
+    "no JSON": frame.framed(b"\xff\xff", b"\xff\xff"),
     "older protocol": framed({"protocol": 0, "type": "StopRequest"}),
     "unknown type": framed({"protocol": 1, "type": "SelfDestruct"}),
     "lying array": framed(
@@ -132,9 +133,14 @@ def test_a_malformed_request_on_any_key_gets_a_refusal_and_the_agent_lives(
 def test_no_bytes_get_more_than_a_refusal(
     leaf: str, payload: bytes, framed: bool, orchestrator: Orchestrator, robot: PuppetRobot
 ) -> None:
-    reply = asked(orchestrator.session, leaf, b"NUF1" + payload if framed else payload)
-    assert isinstance(reply, Refusal)
-    assert reply.code == "malformed"
+    payload = b"NUF1" + payload if framed else payload
+    for sent, codes in (
+        (payload, ("malformed", "damaged")),
+        (frame.sealed(payload), ("malformed",)),
+    ):
+        reply = asked(orchestrator.session, leaf, sent)
+        assert isinstance(reply, Refusal)
+        assert reply.code in codes
     assert robot.motions == 0
 
 

@@ -29,7 +29,7 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.keys import principal_of
 from nufleet.shared.wire.messages import GoalRequest
-from nufleet.shared.wire.requests import Replies
+from nufleet.shared.wire.requests import Replies, Request
 
 
 @pytest.fixture
@@ -67,6 +67,41 @@ def test_a_round_measures_every_robot_once_and_asks_it_for_a_goal_and_a_result(
         assert outcome.response.z[0] == pytest.approx(1.0, abs=1e-9)
         assert outcome.robot_time_s == pytest.approx(outcome.result.plan.duration_s)
     assert [robot.motions for robot in lab.robots.values()] == [1, 1, 1]
+    assert not lab.attempts
+
+
+def test_what_is_altered_on_its_way_is_asked_for_again_and_moves_its_robot_once(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    altered: set[str] = set()
+    ask, answer = lab.client.ask, Request.answer
+
+    def once(key: str, payload: bytes) -> bytes:
+        if key in altered:
+            return payload
+        altered.add(key)
+        place = len(payload) // 2
+        return payload[:place] + bytes([payload[place] ^ 1]) + payload[place + 1 :]
+
+    def asking(key: str, payload: bytes, *, timeout_s: float) -> Replies:
+        payload = once(key, payload) if key.endswith("/goal") else payload
+        return ask(key, payload, timeout_s=timeout_s)
+
+    def answering(request: Request, payload: bytes) -> None:
+        key = request.key
+        answer(request, once(key, payload) if key.endswith("/result") else payload)
+
+    monkeypatch.setattr(lab.client, "ask", asking)
+    monkeypatch.setattr(Request, "answer", answering)
+    outcomes = lab.run(r1=TEST, r2=TEST)
+    by = principal_of(lab.fleet.orchestrator_id)
+    assert altered == {
+        KEYS.request(r, by, leaf) for r in ("r1", "r2") for leaf in ("goal", "result")
+    }
+    for outcome in outcomes.values():
+        assert isinstance(outcome, Measured)
+        assert outcome.response.z[0] == pytest.approx(1.0, abs=1e-9)
+    assert [lab.robots[name].motions for name in ("r1", "r2")] == [1, 1]
     assert not lab.attempts
 
 

@@ -16,7 +16,11 @@ from hypothesis.extra.numpy import arrays
 from pydantic import BaseModel, ValidationError
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import MalformedMessageError, ProtocolVersionError
+from nufleet.shared.errors import (
+    DamagedMessageError,
+    MalformedMessageError,
+    ProtocolVersionError,
+)
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
@@ -24,7 +28,13 @@ from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 from nufleet.shared.wire import codec, messages
 from nufleet.shared.wire.codec import MAX_BODY_BYTES, Float64Array, Message, decode, encode
-from nufleet.shared.wire.frame import PROTOCOL_VERSION, stop_frame
+from nufleet.shared.wire.frame import (
+    CHECKSUM,
+    PROTOCOL_VERSION,
+    framed,
+    sealed,
+    stop_frame,
+)
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -337,10 +347,6 @@ def assert_same(one: BaseModel, other: BaseModel) -> None:
             assert mine == theirs
 
 
-def frame(head: bytes, body: bytes, raw: bytes = b"") -> bytes:
-    return b"NUF1" + struct.pack("<II", len(head), len(body)) + head + body + raw
-
-
 def header(kind: str = "Done", protocol: object = PROTOCOL_VERSION, **more: object) -> bytes:
     return json.dumps({"protocol": protocol, "type": kind, **more}).encode()
 
@@ -352,7 +358,7 @@ def parts_of(payload: bytes) -> tuple[dict[str, object], dict[str, object], byte
     return (
         json.loads(payload[12:head_end]),
         json.loads(payload[head_end:body_end]),
-        payload[body_end:],
+        payload[body_end : -CHECKSUM.size],
     )
 
 
@@ -367,7 +373,8 @@ def rebuilt(
     head_json, body_json, arrays_raw = parts_of(encode(message))
     head(head_json)
     body(body_json)
-    return frame(json.dumps(head_json).encode(), json.dumps(body_json).encode(), raw(arrays_raw))
+    head_sent, body_sent = json.dumps(head_json).encode(), json.dumps(body_json).encode()
+    return framed(head_sent, body_sent, [raw(arrays_raw)])
 
 
 # What is sent comes back.
@@ -416,15 +423,17 @@ def test_the_type_says_which_of_several_expected_messages_came() -> None:
 @settings(max_examples=150, deadline=None)
 @given(payload=st.binary(max_size=300), framed=st.booleans())
 def test_no_bytes_raise_anything_but_malformed(payload: bytes, framed: bool) -> None:
-    with pytest.raises(MalformedMessageError):
-        decode(b"NUF1" + payload if framed else payload, *EVERY_TYPE)
+    payload = b"NUF1" + payload if framed else payload
+    for sent in (payload, sealed(payload)):
+        with pytest.raises(MalformedMessageError):
+            decode(sent, *EVERY_TYPE)
 
 
 @settings(max_examples=150, deadline=None)
 @given(head=st.binary(max_size=80), body=st.binary(max_size=80), raw=st.binary(max_size=40))
 def test_no_framed_parts_raise_anything_but_malformed(head: bytes, body: bytes, raw: bytes) -> None:
     with pytest.raises(MalformedMessageError):
-        decode(frame(head, body, raw), *EVERY_TYPE)
+        decode(framed(head, body, [raw]), *EVERY_TYPE)
 
 
 json_values = st.recursive(
@@ -444,7 +453,7 @@ json_values = st.recursive(
 def test_no_json_raises_anything_but_malformed(
     kind: type[Message], arrays_said: object, body: dict[str, object], raw: bytes
 ) -> None:
-    payload = frame(header(kind.__name__, arrays=arrays_said), json.dumps(body).encode(), raw)
+    payload = framed(header(kind.__name__, arrays=arrays_said), json.dumps(body).encode(), [raw])
     try:
         message = decode(payload, *EVERY_TYPE)
     except MalformedMessageError:
@@ -458,20 +467,33 @@ def test_no_json_raises_anything_but_malformed(
 @given(data=st.data())
 def test_a_truncated_or_longer_frame_is_refused(kind: type[Message], data: st.DataObject) -> None:
     payload = encode(data.draw(STRATEGIES[kind]))
-    cut = data.draw(st.integers(0, len(payload) - 1))
-    with pytest.raises(MalformedMessageError):
-        decode(payload[:cut], kind)
-    with pytest.raises(MalformedMessageError):
-        decode(payload + b"\0", kind)
+    bare = payload[: -CHECKSUM.size]
+    cut = data.draw(st.integers(0, len(bare) - 1))
+    for sent in (payload[:cut], payload + b"\0", sealed(payload[:cut]), sealed(bare + b"\0")):
+        with pytest.raises(MalformedMessageError):
+            decode(sent, kind)
 
 
 @settings(max_examples=150, deadline=None)
-@given(place=st.integers(0, len(encode(RESULT)) - 1), value=st.integers(0, 255))
-def test_an_altered_byte_gives_a_valid_message_or_is_refused(place: int, value: int) -> None:
+@given(place=st.integers(12, len(encode(RESULT)) - 1), change=st.integers(1, 255))
+def test_what_was_altered_on_its_way_is_known_by_its_checksum(place: int, change: int) -> None:
     payload = bytearray(encode(RESULT))
+    of_version = payload.index(b"%d" % PROTOCOL_VERSION)
+    payload[place] ^= change
+    known = (
+        (DamagedMessageError, ProtocolVersionError) if place == of_version else DamagedMessageError
+    )
+    with pytest.raises(known):
+        decode(bytes(payload), GoalResult)
+
+
+@settings(max_examples=150, deadline=None)
+@given(place=st.integers(0, len(encode(RESULT)) - 1 - CHECKSUM.size), value=st.integers(0, 255))
+def test_another_byte_gives_a_valid_message_or_is_refused(place: int, value: int) -> None:
+    payload = bytearray(encode(RESULT)[: -CHECKSUM.size])
     payload[place] = value
     try:
-        message = decode(bytes(payload), GoalResult)
+        message = decode(sealed(bytes(payload)), GoalResult)
     except MalformedMessageError:
         return
     # A message that still decodes satisfies the constraints of its type.
@@ -479,12 +501,12 @@ def test_an_altered_byte_gives_a_valid_message_or_is_refused(place: int, value: 
 
 
 def test_every_altered_byte_of_the_prefix_and_the_lengths_is_refused() -> None:
-    payload = encode(RESULT)
+    payload = encode(RESULT)[: -CHECKSUM.size]
     for place in range(12):
         for value in {0, 1, 127, 128, 255, payload[place] ^ 1} - {payload[place]}:
             altered = payload[:place] + bytes([value]) + payload[place + 1 :]
             with pytest.raises(MalformedMessageError):
-                decode(altered, GoalResult)
+                decode(sealed(altered), GoalResult)
 
 
 LYING_SHAPES = [
@@ -529,7 +551,7 @@ def test_an_empty_array_of_huge_shape_is_refused_or_empty(shape: list[int]) -> N
 
     head = header("Matrix", arrays=[{"dtype": "<f8", "shape": shape}])
     try:
-        message = decode(frame(head, b'{"values": 0}'), Matrix)
+        message = decode(framed(head, b'{"values": 0}'), Matrix)
     except MalformedMessageError:
         return
     assert 0 in shape
@@ -557,7 +579,7 @@ def test_a_field_refers_to_an_array_of_the_frame_by_its_index(index: object) -> 
 def test_two_fields_cannot_share_an_array_nor_leave_one_over() -> None:
     with pytest.raises(MalformedMessageError, match="another field has it"):
         decode(rebuilt(RESULT, body=lambda body: body.update(reference=0, response=0)), GoalResult)
-    surplus = frame(header(arrays=[{"dtype": "<f8", "shape": [1]}]), b"{}", b"\0" * 8)
+    surplus = framed(header(arrays=[{"dtype": "<f8", "shape": [1]}]), b"{}", [b"\0" * 8])
     with pytest.raises(MalformedMessageError, match="that belongs to no field"):
         decode(surplus, Done)
 
@@ -579,7 +601,7 @@ def test_numbers_that_are_not_finite_are_refused_in_the_body(number: str) -> Non
     text = json.dumps(body).replace("0.125", number)
     assert number in text
     with pytest.raises(MalformedMessageError, match="wall_duration_s"):
-        decode(frame(json.dumps(head).encode(), text.encode()), GoalAccepted)
+        decode(framed(json.dumps(head).encode(), text.encode()), GoalAccepted)
 
 
 def test_an_unknown_field_is_refused_by_its_name() -> None:
@@ -596,7 +618,7 @@ def test_another_type_is_refused_by_its_name() -> None:
 
 def test_another_protocol_version_is_named_whatever_else_its_header_holds() -> None:
     version = PROTOCOL_VERSION + 1
-    other = frame(header(protocol=version, compression="zstd"), b"\xff\xfe not even JSON")
+    other = framed(header(protocol=version, compression="zstd"), b"\xff\xfe not even JSON")
     words = f"protocol version {version}, this side speaks {PROTOCOL_VERSION}"
     with pytest.raises(ProtocolVersionError, match=words):
         decode(other, Done)
@@ -606,7 +628,7 @@ def test_another_protocol_version_is_named_whatever_else_its_header_holds() -> N
 def test_a_version_that_is_no_number_is_malformed(protocol: object) -> None:
     sys.set_int_max_str_digits(0)
     try:
-        payload = frame(header(protocol=protocol), b"{}")
+        payload = framed(header(protocol=protocol), b"{}")
     finally:
         sys.set_int_max_str_digits(4300)
     with pytest.raises(MalformedMessageError) as raised:
@@ -648,8 +670,8 @@ def test_an_oversized_payload_is_refused_unread() -> None:
 
 @pytest.mark.parametrize("shape", [[2**26], [2**20, 2**6], [2**26, 2**26, 2**26]], ids=str)
 def test_what_a_frame_claims_to_hold_is_not_allocated(shape: list[int]) -> None:
-    payload = frame(header("Telemetry", arrays=[{"dtype": "<f8", "shape": shape}] * 16), b"{}")
-    lengths = b"NUF1" + struct.pack("<II", 2**32 - 1, 2**32 - 1) + b"{}"
+    payload = framed(header("Telemetry", arrays=[{"dtype": "<f8", "shape": shape}] * 16), b"{}")
+    lengths = sealed(b"NUF1" + struct.pack("<II", 2**32 - 1, 2**32 - 1) + b"{}")
     tracemalloc.start()
     try:
         for lying in (payload, lengths):
@@ -663,7 +685,7 @@ def test_what_a_frame_claims_to_hold_is_not_allocated(shape: list[int]) -> None:
 def test_json_longer_than_its_cap_is_not_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
     body = b"[" + b"0," * (MAX_BODY_BYTES // 2 + 8) + b"0]"
     with pytest.raises(MalformedMessageError, match="larger than allowed"):
-        decode(frame(header(), body), Done)
+        decode(framed(header(), body), Done)
     monkeypatch.setattr(codec, "MAX_BODY_BYTES", 50)
     with pytest.raises(MalformedMessageError, match="too large to be sent"):
         encode(StopRequest(sender="me", reason="x" * 60))
@@ -673,7 +695,7 @@ def test_deeply_nested_json_is_refused() -> None:
     for opening, closing in ((b"[", b"]"), (b'{"a":', b"}")):
         body = opening * 10_000 + b"1" + closing * 10_000
         with pytest.raises(MalformedMessageError):
-            decode(frame(header(), body), Done)
+            decode(framed(header(), body), Done)
 
 
 def test_a_message_too_large_to_be_taken_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -700,14 +722,14 @@ def test_a_stop_written_without_pydantic_is_the_stop_that_encode_writes(
 def test_a_field_that_only_the_sender_knows_is_shown_without_its_control_characters() -> None:
     body = json.dumps({"\x1b[31mOWNED\n": 1}).encode()
     with pytest.raises(MalformedMessageError, match=r"\?\[31mOWNED") as raised:
-        decode(frame(header(), body), Done)
+        decode(framed(header(), body), Done)
     assert "\x1b" not in str(raised.value)
 
 
 def test_a_refusals_reason_stays_short_whatever_was_sent() -> None:
     body = json.dumps({"x" * 50_000 + str(k): 1 for k in range(20)}).encode()
     with pytest.raises(MalformedMessageError) as raised:
-        decode(frame(header(), body), Done)
+        decode(framed(header(), body), Done)
     assert len(str(raised.value)) < 2000
     assert "and 16 more" in str(raised.value)
 
