@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-from nufleet.orchestrator.conduct.attempts import Attempts, Settled
+from nufleet.orchestrator.conduct.attempts import Attempts, Settled, estimated
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.conduct.trial_log import TrialLog
 from nufleet.orchestrator.fleet.client import Fleet
@@ -17,12 +17,13 @@ from nufleet.orchestrator.fleet.goal_events import Ended
 from nufleet.orchestrator.fleet.goal_loop import GoalLoop
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
 from nufleet.orchestrator.study.outcomes import TestOutcome
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import GoalAccepted
+from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
 OnAttempt = Callable[[str, int, str], None]
 
-STORING_AT_ONCE = 32
+STORING_AT_ONCE = 16
 """Number of robots whose answers are judged and stored at once, so that they share one commit."""
 
 
@@ -54,6 +55,7 @@ class Dispatcher:
         self._log = log
         self._specs = specs
         self._on_attempt_failed = on_attempt_failed
+        self._estimating = threading.Lock()
 
     def run(self, tests: Sequence[OpenTest]) -> dict[str, TestOutcome]:
         """Run one test on each of several robots, all at the same time.
@@ -70,7 +72,7 @@ class Dispatcher:
             RepositoryError: Something could not be stored; every robot that answers is at rest.
         """
         self._log.intend(tests)
-        attempts = Attempts(self._log, self._specs)
+        attempts = Attempts(self._log, self._specs, estimate=self._estimated)
         storing_at_once = min(STORING_AT_ONCE, len(tests) + (os.cpu_count() or 1))
         with (
             self._goals.pursuing() as loop,
@@ -92,6 +94,12 @@ class Dispatcher:
     def acknowledge_all(self) -> None:
         """Acknowledge the last results of every robot, so that it may discard them."""
         self._goals.acknowledge_all()
+
+    def _estimated(self, result: GoalResult) -> FrequencyResponse:
+        # Threads that estimate at the same time take the interpreter from each other in every call
+        # of NumPy, which costs more than it gains.
+        with self._estimating:
+            return estimated(result)
 
 
 class _Round:

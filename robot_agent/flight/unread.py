@@ -171,7 +171,10 @@ class UnreadTests:
         return total
 
     def add(self, test: UnreadTest) -> bool:
-        """Keep a test, durably if there is a folder; return whether there is room for it.
+        """Keep a test; return whether there is room for it.
+
+        A test in a folder outlasts the process. A power failure may cut off the last tests, which
+        a robot would only learn less from: no robot waits for the disk to learn.
 
         Raises:
             OSError: It cannot be stored.
@@ -227,7 +230,6 @@ class UnreadTests:
             size = os.fstat(descriptor).st_size
             try:
                 write_all(descriptor, frame)
-                os.fdatasync(descriptor)
             except OSError:
                 os.ftruncate(descriptor, size)
                 raise

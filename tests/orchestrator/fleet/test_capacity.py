@@ -13,7 +13,7 @@ BOARD = Machine(cores=4, memory_bytes=3 * 10**8)
 
 @pytest.mark.parametrize(
     ("machine", "processes", "room"),
-    [(LAPTOP, 4, 500), (LAPTOP, None, 100), (BOARD, 2, 108), (BOARD, None, 3), (BOARD, 9, 0)],
+    [(LAPTOP, 4, 1000), (LAPTOP, None, 100), (BOARD, 2, 108), (BOARD, None, 3), (BOARD, 9, 0)],
 )
 def test_cores_and_memory_limit_the_number_of_robots(
     machine: Machine, processes: int | None, room: int
