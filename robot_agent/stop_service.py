@@ -50,7 +50,7 @@ class StopService:
         self._keys = keys
         self._commands = commands
         self._kill = kill
-        self._killing: Future[Message] | None = None
+        self._killing: tuple[str | None, Future[Message]] | None = None
         self._writer = writer or ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
@@ -91,7 +91,7 @@ class StopService:
         if not self._decisions.stop(order, kill=request.kill):
             self._commands.stopped(principal, request, answer=f"refused {RELEASED.code}")
             return _known(RELEASED)
-        killing = self._cut_motors(sender, request.reason) if request.kill else None
+        killing = self._cut_motors(order) if request.kill else None
         self._commands.stopped(principal, request)
         stored = self._stored()
         return stored if killing is None else _both(killing, stored)
@@ -102,15 +102,21 @@ class StopService:
             self._closed = True
         self._writer.shutdown()
 
-    def _cut_motors(self, sender: str, reason: str) -> Future[Message]:
-        """Cut the motors, and return the reply to come; orders in the meantime share it.
+    def _cut_motors(self, order: StopOrder) -> Future[Message]:
+        """Cut the motors, and return the reply to come.
 
-        The stop is in force already, and is stored beside this.
+        Orders in the meantime share it, and so do late copies of an order that has cut them: a
+        robot is not released while its motors are cut again for nothing. The stop is in force
+        already, and is stored beside this.
         """
         with self._lock:
-            if self._killing is not None and not self._killing.done():
-                return self._killing
-            answer = self._killing = Future()
+            if self._killing is not None:
+                order_id, answer = self._killing
+                copied = order_id is not None and order_id == order.order_id
+                if not answer.done() or (copied and isinstance(answer.result(), Done)):
+                    return answer
+            answer = Future()
+            self._killing = order.order_id, answer
 
         def cut() -> None:
             try:
@@ -121,7 +127,7 @@ class StopService:
                 self._decisions.cut(None)
                 answer.set_result(Refusal(code="not-killed", reason=text))
             else:
-                self._decisions.cut(f"its motors were cut by {sender}: {reason}")
+                self._decisions.cut(f"its motors were cut by {order.sender}: {order.reason}")
                 answer.set_result(Done())
 
         self._decisions.cutting()

@@ -21,7 +21,7 @@ from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.robot_agent.planner import Planner
 from nufleet.robot_agent.stop_service import StopService
 from nufleet.shared import private_files
-from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.errors import MalformedMessageError, RobotError
 from nufleet.shared.wire.codec import encode
 from nufleet.shared.wire.frame import PROTOCOL_VERSION, framed
 from nufleet.shared.wire.keys import FleetKeys
@@ -170,6 +170,30 @@ def test_a_kill_stops_and_cuts_the_motors_and_only_a_reconnection_undoes_it(
     refused, _ = decisions.take(GoalRequest(goal_id="a", owner="o", motion=EXCITATION))
     assert isinstance(refused, Refusal)
     assert refused.code == "fault"
+
+
+def test_a_late_copy_of_a_kill_cuts_no_motors_again_but_another_kill_does(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    assert isinstance(robot.on_kill, Mock)
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    stops.heard("nufleet/lab/robot/r/by/alice/stop", KILL)
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    assert robot.on_kill.call_count == 1
+    assert decisions.release("alice") is None
+    another = encode(StopRequest(sender="alice", reason="smoke", kill=True))
+    assert stops.asked("alice", another).result(PATIENCE_S) == Done()
+    assert robot.on_kill.call_count == 2
+
+
+def test_a_kill_that_failed_is_tried_again_by_its_copy(
+    stops: StopService, robot: PuppetRobot
+) -> None:
+    robot.on_kill = Mock(side_effect=[RobotError("no radio"), None])
+    failed = stops.asked("alice", KILL).result(PATIENCE_S)
+    assert isinstance(failed, Refusal)
+    assert failed.code == "not-killed"
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
 
 
 def test_a_copy_that_comes_after_the_release_of_its_stop_neither_stops_nor_cuts_motors(
