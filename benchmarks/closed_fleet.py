@@ -1,6 +1,6 @@
 """What a closed fleet costs: connections, requests, stops and iterations, beside an open one.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.closed_fleet --rounds 1000
+    python -m benchmarks.closed_fleet --rounds 1000
 
 Both routers, all robots and both orchestrators run in this process, and each round asks the open
 and the closed fleet in turn, so that the load of the machine meets both.

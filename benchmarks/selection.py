@@ -3,7 +3,7 @@
     python -m benchmarks.selection --fleets 200 --seed 1 --workers 2
 
 Every method selects on the same fleets. Right is a regret below 0.01: ψ* of the source selected
-less that of the closest. Run it with OPENBLAS_NUM_THREADS=1: the matrices are small.
+less that of the closest.
 """
 
 from __future__ import annotations

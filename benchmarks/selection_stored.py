@@ -1,7 +1,7 @@
 """A new target against many sources whose responses are stored: only the target flies.
 
     python -m benchmarks.selection_stored --fleets 50 --sources 50 --seed 1
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.selection_stored --fleets 1 --sources 5000
+    python -m benchmarks.selection_stored --fleets 1 --sources 5000
 
 Every source was tested once, on an earlier day, over the whole band. The default algorithm then
 selects for a target that nothing is known of. Right is a regret below 0.01, as in

@@ -136,13 +136,25 @@ def command_line() -> click.Group:
     )
 
 
+def spare_processor_time() -> None:
+    """Set what saves processor time in any program of ours, before it imports NumPy."""
+    # The matrices are many and small; with threads, BLAS takes ten times as long on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # pydantic reads the description of every installed package in search of plugins for itself.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # A fifth of the time of a short command went into looks for garbage while modules are loaded,
+    # where there is none, and at the end, where the system takes everything back.
+    gc.set_threshold(_YOUNG_OBJECTS)
+    atexit.register(gc.freeze)
+
+
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
     try:
-        _spare_processor_time()
+        spare_processor_time()
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:
         error.show()
@@ -236,17 +248,6 @@ def _refuse_misread_words(command: click.Command, args: list[str], parent: click
         single = isinstance(option, click.Option) and not (option.multiple or option.is_flag)
         if single and order.count(option) > 1:
             raise click.UsageError(f"{option.opts[0]} is given more than once", context)
-
-
-def _spare_processor_time() -> None:
-    # The matrices are many and small; with threads, BLAS takes ten times as long on a busy machine.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # pydantic reads the description of every installed package in search of plugins for itself.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    # A fifth of the time of a short command went into looks for garbage while modules are loaded,
-    # where there is none, and at the end, where the system takes everything back.
-    gc.set_threshold(_YOUNG_OBJECTS)
-    atexit.register(gc.freeze)
 
 
 def _print_error(sentence: str) -> None:

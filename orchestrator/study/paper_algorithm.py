@@ -130,34 +130,18 @@ class PaperStudy:
         self._open = None
         for robot, response in responses.items():
             self._responses.setdefault(robot, []).append(response)
-        omega = question.omega_rad_s[0]
-        at_target = responses[self._plan.target]
-        sampled_psi: dict[str, float] = {}
         for source in self._remaining():
             if source not in responses:
                 self._dropped[source] = failed.get(source, "it returned no response")
-                continue
-            at_source = responses[source]
-            psi = float(chordal_distance(at_target.z, at_source.z)[0])
-            variance = chordal_variance(
-                at_target.z, at_target.variance, at_source.z, at_source.variance
-            )
-            sampled_psi[source] = psi
-            self._samples[source].append((omega, psi, float(variance[0])))
         if not self._remaining():
             lost = "; ".join(f"{source}: {reason}" for source, reason in self._dropped.items())
             raise StudyError(f"no source is left: {lost}")
+        sampled_psi = self._sample(question.omega_rad_s[0], responses)
         curves, improvements = self._believe()
-        ranking = tuple(sorted((_estimate(curve) for curve in curves), key=lambda e: e.psi))
-        psi_stars = {estimate.robot: estimate.psi for estimate in ranking}
+        estimates = [_estimate(curve) for curve in curves]
         # α(ω) = max_n EI_n(ω) / ψ̂*_n (eq. 11), on the grid; the next test is at its maximum.
-        acquisition = np.max(
-            [
-                improvement / max(psi_stars[curve.source], self._settings.psi_floor)
-                for curve, improvement in zip(curves, improvements, strict=True)
-            ],
-            axis=0,
-        )
+        psi_stars = np.maximum([estimate.psi for estimate in estimates], self._settings.psi_floor)
+        acquisition = np.max(improvements / psi_stars[:, None], axis=0)
         self._next_omega = float(self._grid[int(np.argmax(acquisition))])
         return Report(
             iteration=question.iteration,
@@ -165,12 +149,24 @@ class PaperStudy:
             responses=responses,
             sampled_psi=sampled_psi,
             curves=curves,
-            ranking=ranking,
+            ranking=tuple(sorted(estimates, key=lambda estimate: estimate.psi)),
             dropped=dict(self._dropped),
         )
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
+
+    def _sample(self, omega_rad_s: float, responses: Responses) -> dict[str, float]:
+        """Keep and return each remaining source's ψ_n(ω) at the frequency of a round."""
+        sources, target = self._remaining(), responses[self._plan.target]
+        # All at once, since the calls of NumPy would take most of the time for one source.
+        z = np.array([responses[source].z[0] for source in sources])
+        variance = np.array([responses[source].variance[0] for source in sources])
+        psi = dict(zip(sources, chordal_distance(target.z, z).tolist(), strict=True))
+        variances = chordal_variance(target.z, target.variance, z, variance).tolist()
+        for source, variance_of_psi in zip(sources, variances, strict=True):
+            self._samples[source].append((omega_rad_s, psi[source], variance_of_psi))
+        return psi
 
     def _believe(self) -> tuple[tuple[Curve, ...], FloatArray]:
         """Fit a Gaussian process to each remaining source's samples of ψ_n.
@@ -200,41 +196,29 @@ class PaperStudy:
         mean, variance = posterior(batch, found.hyperparameters, self._grid)
         # Rounding may leave a variance just below 0 at a sampled frequency.
         std = np.sqrt(np.maximum(variance, 0.0))
+        low, high = (np.clip(mean + sign * DEVIATIONS * std, 0.0, 1.0) for sign in (-1.0, 1.0))
         curves = tuple(
-            Curve(
-                source,
-                self._grid,
-                mean[n],
-                np.clip(mean[n] - DEVIATIONS * std[n], 0.0, 1.0),
-                np.clip(mean[n] + DEVIATIONS * std[n], 0.0, 1.0),
-                *samples[n][:, :2].T,
-            )
+            Curve(source, self._grid, mean[n], low[n], high[n], *samples[n][:, :2].T)
             for n, source in enumerate(sources)
         )
-        improvements = np.stack(
-            [
-                expected_improvement(
-                    mean[n], std[n], float(curve.sampled_psi.max()), self._settings.exploration
-                )
-                for n, curve in enumerate(curves)
-            ]
-        )
+        best = np.array([s[:, 1].max() for s in samples])
+        improvements = expected_improvement(mean, std, best[:, None], self._settings.exploration)
         return curves, improvements
 
 
 def expected_improvement(
-    mean: FloatArray, std: FloatArray, best: float, exploration: float
+    mean: FloatArray, std: FloatArray, best: FloatArray | float, exploration: float
 ) -> FloatArray:
     """Return EI(ω) = (ψ̂ − ψ_max − ξ) Φ(Z) + σ̂ φ(Z), Z = (ψ̂ − ψ_max − ξ) / σ̂ (paper, eq. 9).
 
     Args:
-        mean: Posterior mean ψ̂, shape (grid,).
-        std: Posterior standard deviation σ̂, shape (grid,).
-        best: Largest sample ψ_max.
+        mean: Posterior mean ψ̂, shape (…, grid).
+        std: Posterior standard deviation σ̂, the same shape.
+        best: Largest sample ψ_max, one for all or shape (…, 1).
         exploration: Exploration parameter ξ ≥ 0.
 
     Returns:
-        Expected improvement, shape (grid,); never negative, and 0 where σ̂ is 0.
+        Expected improvement, shape (…, grid); never negative, and 0 where σ̂ is 0.
     """
     gain = mean - best - exploration
     certain = std <= 0.0

@@ -28,6 +28,7 @@ def looks_of(
     return Looks(plan, AdaptiveSettings(), {"robot": known}), known
 
 
+@pytest.mark.thorough
 @settings(max_examples=15, deadline=None)
 @given(
     settling_time_s=st.floats(1e-3, 100.0),

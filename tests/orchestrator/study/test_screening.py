@@ -100,6 +100,7 @@ def ranked(fleet: dict[str, Loop], compared: int, std: float) -> tuple[Report, i
     return report, fitted, alive
 
 
+@pytest.mark.thorough
 def test_a_hundred_sources_are_ranked_by_fits_of_a_few() -> None:
     fleet = loops(np.random.default_rng(8), 100)
     report, fitted, _ = ranked(fleet, compared=8, std=0.01)
@@ -122,6 +123,7 @@ def test_a_hundred_sources_are_ranked_by_fits_of_a_few() -> None:
             assert truth[one.robot] > truth[report.selected]
 
 
+@pytest.mark.thorough
 def test_sources_that_tones_cannot_tell_apart_are_all_compared() -> None:
     rng = np.random.default_rng(9)
     fleet = {"target": Loop(3.0)} | {f"s-{n}": Loop(3.0 + 0.02 * rng.random()) for n in range(20)}
@@ -129,6 +131,7 @@ def test_sources_that_tones_cannot_tell_apart_are_all_compared() -> None:
     assert len(report.curves) == 20
 
 
+@pytest.mark.thorough
 def test_the_samples_of_few_sources_are_held_at_once_though_tones_leave_many_a_chance() -> None:
     fleet = loops(np.random.default_rng(10), 60)
     held: list[int] = []

@@ -150,6 +150,7 @@ def test_the_error_of_a_flight_is_foreseen_with_what_axes_do_to_each_other(
         assert abs(root_mean_square(own) / error - 1) > 0.01
 
 
+@pytest.mark.thorough
 def test_nine_of_ten_errors_of_coupled_robots_lie_in_their_intervals() -> None:
     held = []
     for seed, coupling in enumerate((COUPLING, -COUPLING, 0.1, 0.2)):

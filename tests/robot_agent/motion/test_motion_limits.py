@@ -109,6 +109,7 @@ def test_a_step_test_keeps_to_the_limits_of_its_axis_and_needs_a_robot_that_trac
     assert_axis_limits(spec, column, robot.seen)
 
 
+@pytest.mark.thorough
 @PROPERTY
 @given(specs(tracks=True), st.integers(0, 1000))
 def test_a_rich_flight_keeps_to_the_tracking_limits(spec: RobotSpec, seed: int) -> None:
@@ -124,6 +125,7 @@ def test_a_rich_flight_keeps_to_the_tracking_limits(spec: RobotSpec, seed: int) 
     assert accelerations.max() <= ROUNDING * spec.tracking.acceleration_max
 
 
+@pytest.mark.thorough
 @PROPERTY
 @given(
     specs(tracks=True),

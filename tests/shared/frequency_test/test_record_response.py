@@ -109,6 +109,7 @@ def test_nothing_is_claimed_where_the_reference_has_no_power() -> None:
     assert float(np.max(found.response.omega_rad_s)) == found.band_rad_s[1]
 
 
+@pytest.mark.thorough
 def test_a_resonance_that_outlasts_its_excitation_is_not_taken_for_another() -> None:
     squares = []
     for seed in range(4):
@@ -217,6 +218,7 @@ def test_speed_and_amplitude_of_the_reference_are_told() -> None:
     assert found.response.amplitude == pytest.approx(0.4, rel=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("omega_max_rad_s", [5.0, 50.0])
 @pytest.mark.parametrize("delay", [0, 1, 4])
 def test_a_drawing_followed_without_noise_has_a_response_all_the_same(
