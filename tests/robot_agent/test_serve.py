@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from puppet_robot import PuppetRobot
+from puppet_robot import PuppetRobot, puppet_spec
 
 from nufleet.orchestrator.fleet import processes
 from nufleet.robot_agent import serve as fleet_robots
@@ -202,6 +203,18 @@ def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
     assert None not in {one for _, one in (*simulated, elsewhere)}
     # The agent of a robot with a session of its own opens its heartbeat.
     assert [one for _, one in real] == [None, None]
+
+
+@pytest.mark.parametrize("kinds", [(True, True), (True, False)])
+def test_threads_ask_for_the_interpreter_seldom_unless_a_real_robot_needs_it_promptly(
+    kinds: tuple[bool, ...],
+) -> None:
+    python_s = sys.getswitchinterval()
+    specs = [puppet_spec().model_copy(update={"simulated": simulated}) for simulated in kinds]
+    with fleet_robots.seldom_switching([PuppetRobot(spec) for spec in specs]):
+        asked_s = sys.getswitchinterval()
+    assert asked_s == pytest.approx(fleet_robots.SWITCH_S if all(kinds) else python_s)
+    assert sys.getswitchinterval() == python_s
 
 
 def test_an_agent_serves_the_fleet_file_as_it_was_when_it_was_read_once(
