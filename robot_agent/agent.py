@@ -35,8 +35,8 @@ from nufleet.robot_agent.network.endpoint import (
     Endpoint,
     Handler,
 )
-from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.robot_agent.network.rivals import Rivals
+from nufleet.robot_agent.network.squad import Squad
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.robot_agent.planner import Planner
 from nufleet.robot_agent.robot import Robot
@@ -71,7 +71,7 @@ class Agent:
         realtime: float | None,
         state_folder: Path | None = None,
         policy: RobotPolicy | None = None,
-        heartbeat: Heartbeat | None = None,
+        squad: Squad | None = None,
         prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Prepare the agent; nothing is connected before the context is entered.
@@ -88,7 +88,7 @@ class Agent:
                 models); None to keep nothing.
             policy: What the robot's fleet file lets others have it do; None for what a file says
                 that does not mention it.
-            heartbeat: Heartbeat of the robots that share the session; None for one of its own.
+            squad: Robots that share the session; None for a robot alone.
             prompt: Context in which the robot moves, on the thread that moves it.
 
         Raises:
@@ -101,7 +101,7 @@ class Agent:
         self._realtime = realtime
         self._state_folder = state_folder
         self._policy = policy or RobotPolicy()
-        self._given_heartbeat = heartbeat
+        self._given_squad = squad
         self._prompt = prompt
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
@@ -119,11 +119,9 @@ class Agent:
             RobotError: The robot cannot be connected.
         """
         with ExitStack() as opened:
-            if self._given_heartbeat is None:
-                self._heartbeat = Heartbeat(self._session, self._keys)
-                opened.callback(self._heartbeat.close)
-            else:
-                self._heartbeat = self._given_heartbeat
+            self._squad = self._given_squad or opened.enter_context(
+                Squad(self._session, self._keys)
+            )
             # The journal comes first: its lock reveals a second agent before both reach for the
             # robot.
             self._remember(opened)
@@ -171,7 +169,7 @@ class Agent:
             self._realtime,
             self._policy.allow_unguarded,
         )
-        changed = self._heartbeat.change(self._name)
+        changed = self._squad.heartbeat.change(self._name)
         self._decisions = Decisions(
             self._boot_id, planner, journal, changed, may_last=self._may_last(planner)
         )
@@ -222,12 +220,14 @@ class Agent:
         state_key = keys.robot(name, "state")
         rivals = session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES, own=False)
         opened.callback(rivals.withdraw)
-        opened.callback(self._heartbeat.join(name, self._state, heard))
-        stops = StopService(name, decisions, keys, self._commands, self._robot.kill)
+        opened.callback(self._squad.heartbeat.join(name, self._state, heard))
+        kill, writer = self._robot.kill, self._squad.writer
+        stops = StopService(name, decisions, keys, self._commands, kill, writer=writer)
         opened.callback(stops.close)
-        for stop_key in (keys.robot(name, "**/stop"), *keys.every_stop):
-            stop = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)
-            opened.callback(stop.withdraw)
+        stop_key = keys.robot(name, "**/stop")
+        own_stops = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)
+        opened.callback(own_stops.withdraw)
+        opened.callback(self._squad.hear_stops(name, stops.heard))
         everyone = keys.every_orchestrator_alive
         opened.callback(session.watch_alive(everyone, self._on_orchestrator).withdraw)
         samples = session.telemetry_publisher(keys.robot(name, "telemetry/motion"))

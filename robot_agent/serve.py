@@ -16,7 +16,7 @@ import numpy as np
 
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.motion.promptness import Promptness
-from nufleet.robot_agent.network.heartbeat import Heartbeat
+from nufleet.robot_agent.network.squad import Squad
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
@@ -119,7 +119,7 @@ def serve(
         try:
             for name, robot in robots.items():
                 own = state_folder / fleet.name / name
-                session, heartbeat = sessions.session(addresses[name], shared=robot.spec.simulated)
+                session, squad = sessions.session(addresses[name], shared=robot.spec.simulated)
                 agent = Agent(
                     session,
                     keys,
@@ -128,7 +128,7 @@ def serve(
                     realtime=realtime,
                     state_folder=own,
                     policy=fleet.robots[name],
-                    heartbeat=heartbeat,
+                    squad=squad,
                     prompt=nullcontext if robot.spec.simulated else promptness.motion,
                 )
                 agents.append(agent.__enter__())
@@ -166,12 +166,12 @@ class Sessions:
             keys: Keys of the fleet.
         """
         self._opened, self._given_up, self._keys = opened, given_up, keys
-        self._shared: dict[str, tuple[Session, Heartbeat]] = {}
+        self._shared: dict[str, tuple[Session, Squad]] = {}
 
-    def session(self, address: str, *, shared: bool) -> tuple[Session, Heartbeat | None]:
-        """Return a session at an address, which all share that may, and their heartbeat.
+    def session(self, address: str, *, shared: bool) -> tuple[Session, Squad | None]:
+        """Return a session at an address, which all share that may, and their squad.
 
-        A robot with a session of its own has a heartbeat of its own, too.
+        A robot with a session of its own is alone in a squad of its own.
 
         Raises:
             NoRouterError: No router answers, or it does not list the identity.
@@ -183,10 +183,9 @@ class Sessions:
         entered.check_admitted()
         if not shared:
             return entered, None
-        heartbeat = Heartbeat(entered, self._keys)
-        self._opened.callback(heartbeat.close)
-        self._shared[address] = entered, heartbeat
-        return entered, heartbeat
+        squad = self._opened.enter_context(Squad(entered, self._keys))
+        self._shared[address] = entered, squad
+        return entered, squad
 
 
 @contextmanager

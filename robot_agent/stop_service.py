@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, wait
 
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class StopService:
-    """Handles the stops of one robot on Zenoh's threads; a thread of its own stores them."""
+    """Handles the stops of one robot on Zenoh's threads; another thread stores them."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class StopService:
         commands: Commands,
         kill: Callable[[], None],
         *,
-        writer: Executor | None = None,
+        writer: Executor,
     ) -> None:
         """Handle no stop yet.
 
@@ -43,7 +43,7 @@ class StopService:
             keys: Keys of its fleet.
             commands: Record of what its agent was told.
             kill: The driver's `kill`.
-            writer: What stores stops; a thread of its own unless given.
+            writer: What stores stops, which outlives this.
         """
         self._robot = robot
         self._decisions = decisions
@@ -51,7 +51,7 @@ class StopService:
         self._commands = commands
         self._kill = kill
         self._killing: tuple[str | None, Future[Message]] | None = None
-        self._writer = writer or ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
+        self._writer = writer
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
         self._closed = False
@@ -100,7 +100,8 @@ class StopService:
         """Store the stops that have been handled, and end."""
         with self._lock:
             self._closed = True
-        self._writer.shutdown()
+        if self._storing is not None:
+            wait([self._storing])
 
     def _cut_motors(self, order: StopOrder) -> Future[Message]:
         """Cut the motors, and return the reply to come.

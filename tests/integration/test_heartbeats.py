@@ -16,7 +16,7 @@ from nufleet.orchestrator.fleet import heard_states
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.network import rivals
-from nufleet.robot_agent.network.heartbeat import Heartbeat
+from nufleet.robot_agent.network.squad import Squad
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.session import Session
 
@@ -43,12 +43,9 @@ def counted_at_rest(
     counts: Counter[str] = Counter()
     with ExitStack() as stack, monkeypatch.context() as patched:
         session = stack.enter_context(lab.session())
-        heartbeat = None
-        if together:
-            heartbeat = Heartbeat(session, KEYS)
-            stack.callback(heartbeat.close)
+        squad = stack.enter_context(Squad(session, KEYS)) if together else None
         for robot in ROBOTS:
-            agent = Agent(session, KEYS, robot, PuppetRobot(), realtime=None, heartbeat=heartbeat)
+            agent = Agent(session, KEYS, robot, PuppetRobot(), realtime=None, squad=squad)
             stack.enter_context(agent)
         for name in ("_on_state", "_on_states"):
             patched.setattr(Fleet, name, counting(counts, "messages", getattr(Fleet, name)))

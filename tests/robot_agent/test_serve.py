@@ -175,13 +175,16 @@ class OpenSession:
         """Agree."""
 
 
-class NoHeartbeat:
-    """A heartbeat that sends nothing."""
+class SilentSquad:
+    """A squad that hears and sends nothing."""
 
     def __init__(self, session: object, keys: FleetKeys) -> None:
         self.session = session
 
-    def close(self) -> None:
+    def __enter__(self) -> SilentSquad:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         """End nothing."""
 
 
@@ -189,7 +192,7 @@ class NoHeartbeat:
 def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
     monkeypatch: pytest.MonkeyPatch, identity: object
 ) -> None:
-    monkeypatch.setattr(fleet_robots, "Heartbeat", NoHeartbeat)
+    monkeypatch.setattr(fleet_robots, "Squad", SilentSquad)
     monkeypatch.setattr(
         fleet_robots, "open_client", lambda address, **_: nullcontext(OpenSession(identity))
     )
@@ -201,7 +204,7 @@ def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
     assert len(set(simulated)) == 1
     assert len({simulated[0], elsewhere, *real}) == 4
     assert None not in {one for _, one in (*simulated, elsewhere)}
-    # The agent of a robot with a session of its own opens its heartbeat.
+    # The agent of a robot with a session of its own opens its squad.
     assert [one for _, one in real] == [None, None]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -58,9 +59,11 @@ def robot() -> PuppetRobot:
 
 @pytest.fixture
 def stops(decisions: Decisions, robot: PuppetRobot) -> Iterator[StopService]:
-    stops = StopService("r", decisions, FleetKeys("lab"), Commands(None), robot.kill)
-    yield stops
-    stops.close()
+    with ThreadPoolExecutor(1) as writer:
+        keys, commands = FleetKeys("lab"), Commands(None)
+        stops = StopService("r", decisions, keys, commands, robot.kill, writer=writer)
+        yield stops
+        stops.close()
 
 
 def stored_stop(tmp_path: Path, journal: Journal) -> str | None:
