@@ -69,7 +69,7 @@ class Squad:
         return leave
 
     def _on_stop(self, key: str, payload: bytes) -> None:
-        for robot, stopped in tuple(self._stopped.items()):
+        for robot, stopped in self._stopped.copy().items():
             try:
                 stopped(key, payload)
             except Exception:  # noqa: BLE001 - the other robots are to be stopped all the same
