@@ -227,7 +227,7 @@ class Agent:
         stop_key = keys.robot(name, "**/stop")
         own_stops = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)
         opened.callback(own_stops.withdraw)
-        opened.callback(self._squad.hear_stops(name, stops.heard))
+        opened.callback(self._squad.hear_stops(name, stops.halted))
         everyone = keys.every_orchestrator_alive
         opened.callback(session.watch_alive(everyone, self._on_orchestrator).withdraw)
         samples = session.telemetry_publisher(keys.robot(name, "telemetry/motion"))

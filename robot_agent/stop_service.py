@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, wait
+from functools import partial
 
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
@@ -58,10 +59,23 @@ class StopService:
 
     def heard(self, key: str, payload: bytes) -> None:
         """Handle a stop sent as a put; no reply is expected."""
-        try:
-            self.asked(self._keys.principal_of_stop(key), payload)
-        except MalformedMessageError as error:
-            _log.warning("%s: malformed stop on %r: %s", self._robot, key, error)
+        self.halted(key, payload)()
+
+    def halted(self, key: str, payload: bytes) -> Callable[[], None]:
+        """Halt the motion for a stop sent as a put.
+
+        Returns:
+            Function that does the rest: cuts the motors if asked to, records and stores the stop.
+        """
+        finish = self._halted(self._keys.principal_of_stop(key), payload)
+
+        def rest() -> None:
+            try:
+                finish()
+            except MalformedMessageError as error:
+                _log.warning("%s: malformed stop on %r: %s", self._robot, key, error)
+
+        return rest
 
     def asked(self, principal: str | None, payload: bytes) -> Future[Message]:
         """Handle a stop sent as a query; the motion has been halted when this returns.
@@ -76,21 +90,35 @@ class StopService:
         Raises:
             MalformedMessageError: The payload is not a stop request. The robot is stopped anyway.
         """
+        return self._halted(principal, payload)()
+
+    def _halted(self, principal: str | None, payload: bytes) -> Callable[[], Future[Message]]:
         try:
             request = decode(payload, StopRequest, max_bytes=MAX_REQUEST_BYTES)
         except MalformedMessageError as error:
             # The sender wants this robot to stop, so a garbled order stops it as well.
-            order = StopOrder(principal or "unknown", f"a malformed stop: {error}")
-            self._decisions.stop(order)
-            self._stored()
-            self._commands.stopped(principal, None)
-            raise
+            self._decisions.stop(StopOrder(principal or "unknown", f"a malformed stop: {error}"))
+            return partial(self._garbled, principal, error)
         proven = principal is None or principal_of(request.sender) == principal
         sender = request.sender if proven else f"{principal}.as-{request.sender}"[:200]
         order = StopOrder(sender, request.reason, request.order_id)
-        if not self._decisions.stop(order, kill=request.kill):
-            self._commands.stopped(principal, request, answer=f"refused {RELEASED.code}")
-            return _known(RELEASED)
+        obeyed = self._decisions.stop(order, kill=request.kill)
+        return partial(self._obeyed if obeyed else self._released, principal, request, order)
+
+    def _garbled(self, principal: str | None, error: MalformedMessageError) -> Future[Message]:
+        self._stored()
+        self._commands.stopped(principal, None)
+        raise error
+
+    def _released(
+        self, principal: str | None, request: StopRequest, order: StopOrder
+    ) -> Future[Message]:
+        self._commands.stopped(principal, request, answer=f"refused {RELEASED.code}")
+        return _known(RELEASED)
+
+    def _obeyed(
+        self, principal: str | None, request: StopRequest, order: StopOrder
+    ) -> Future[Message]:
         killing = self._cut_motors(order) if request.kill else None
         self._commands.stopped(principal, request)
         stored = self._stored()

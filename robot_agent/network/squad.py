@@ -8,14 +8,18 @@ interpreter once per robot, and reach the last one seconds after the first while
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 
 from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES
 from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.session import OnSample, Session
+from nufleet.shared.wire.session import Session
+
+Halted = Callable[[str, bytes], Callable[[], None]]
+"""Function that takes the key and the payload of a stop, halts a robot, and returns what is left to
+do when all are halted."""
 
 _log = logging.getLogger(__name__)
 
@@ -30,7 +34,7 @@ class Squad:
             session: Session of the robots.
             keys: Keys of their fleet.
         """
-        self._stopped: dict[str, OnSample] = {}
+        self._halted: dict[str, Halted] = {}
         self._open = ExitStack()
         with ExitStack() as opened:
             self.writer = opened.enter_context(ThreadPoolExecutor(1, thread_name_prefix="stops"))
@@ -51,26 +55,38 @@ class Squad:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def hear_stops(self, robot: str, stopped: OnSample) -> Callable[[], None]:
-        """Call a function with each stop of the whole fleet, on Zenoh's thread.
+    def hear_stops(self, robot: str, halted: Halted) -> Callable[[], None]:
+        """Halt a robot at each stop of the whole fleet, on Zenoh's thread.
 
         Args:
-            robot: Name of the robot to stop.
-            stopped: Function that takes the key and the payload of a stop.
+            robot: Name of the robot.
+            halted: Function that halts it.
 
         Returns:
             Function that ends this.
         """
-        self._stopped[robot] = stopped
+        self._halted[robot] = halted
 
         def leave() -> None:
-            del self._stopped[robot]
+            del self._halted[robot]
 
         return leave
 
     def _on_stop(self, key: str, payload: bytes) -> None:
-        for robot, stopped in self._stopped.copy().items():
-            try:
-                stopped(key, payload)
-            except Exception:  # noqa: BLE001 - the other robots are to be stopped all the same
-                _log.exception("%s could not be stopped", robot)
+        # All robots are halted before the first one's motors are cut and its stop is stored.
+        rests: dict[str, Callable[[], None]] = {}
+        for robot, halted in self._halted.copy().items():
+            with _for_itself(robot):
+                rests[robot] = halted(key, payload)
+        for robot, rest in rests.items():
+            with _for_itself(robot):
+                rest()
+
+
+@contextmanager
+def _for_itself(robot: str) -> Iterator[None]:
+    """Log what goes wrong with one robot; the others are to be stopped all the same."""
+    try:
+        yield
+    except Exception:  # noqa: BLE001 - see above
+        _log.exception("%s could not be stopped", robot)
