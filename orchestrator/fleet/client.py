@@ -356,7 +356,9 @@ class Fleet:
             kill=kill,
             order_id=order_id or new_order_id(),
         )
-        self._session.put_urgent(self._requests.key(robot, STOP), encode(request))
+        if order_id is None:
+            self._session.put_urgent(self._requests.key(robot, STOP), encode(request))
+        # The question is a stop, too, and every copy costs a fleet that is busy some time.
         self._requests.ask(robot, STOP, request, Done)
 
     def stop_everyone(self, reason: str) -> None:

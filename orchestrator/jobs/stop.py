@@ -98,8 +98,9 @@ def stop_and_print(
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
         principal = telling.principal
         sender = new_orchestrator_id(principal)
-        order = _Order(sender, reason, kill, new_order_id())
-        frame = stop_frame(sender, reason, order_id=order.order_id, kill=kill)
+        order_id = new_order_id()
+        order = _Order(sender, reason, kill, order_id)
+        frame = stop_frame(sender, reason, order_id=order_id, kill=kill)
         if telling.identity is not None:
             # A stop asks no questions: another fleet's name is not known to this router anyway.
             fleet_name = telling.identity.fleet
@@ -155,7 +156,7 @@ def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str,
         if why is not None:
             unconfirmed[target.robot] = why
 
-    order = _Order(fleet.orchestrator_id, reason, False, new_order_id())
+    order = _Order(fleet.orchestrator_id, reason, False, None)
     _stop([_Target(fleet, "", robot) for robot in robots], order, told)
     return unconfirmed
 
@@ -181,7 +182,8 @@ class _Order(NamedTuple):
     sender: str
     reason: str
     kill: bool
-    order_id: str
+    order_id: str | None
+    """Id of an order that has been sent already; None to send each robot one of its own."""
 
 
 class _Target(NamedTuple):
