@@ -174,7 +174,7 @@ class Agent:
             self._boot_id, planner, journal, changed, may_last=self._may_last(planner)
         )
         change = self._decisions.change
-        audit = None if folder is None else AuditLog(folder, self._name)
+        audit = None if folder is None else AuditLog(folder, self._squad.clerks)
         if audit is not None:
             opened.callback(audit.close)
         self._commands = Commands(audit)
@@ -240,6 +240,7 @@ class Agent:
             decisions,
             samples,
             path_samples,
+            self._squad.clerks,
             realtime=self._realtime,
             prompt=self._prompt,
             foretold=self._forecasts.foretold,

@@ -109,7 +109,7 @@ class Decisions:
         self._cutting = False
         self._shutting_down = False
         self._motion: Assignment | None = None
-        self._resting = False
+        self._resting = self._at_rest = False
         self._progress = 0.0
         self._robot_time_s = 0.0
         self._sequence = 0
@@ -312,6 +312,7 @@ class Decisions:
                     return Refusal(code="stopped", reason="it has just been stopped again")
                 self._supervise(supervisor.ReleaseOrdered(sender))
                 self._last_reason = ""
+                self._changed.set()
         return None
 
     # Progress and end of motions.
@@ -326,6 +327,13 @@ class Decisions:
         with self._lock:
             self._resting = True
             self._changed.set()
+
+    def at_rest(self) -> None:
+        """Record that the robot is at rest after the motion in progress, which `ended` ends."""
+        with self._lock:
+            self._at_rest = True
+            if self._supervision.stop is not None:
+                self._changed.set()
 
     def ended(self, result: GoalResult, fault: str | None) -> None:
         """Record the end of the motion in progress.
@@ -348,6 +356,7 @@ class Decisions:
             self._last_reason = result.reason
             self._robot_time_s += len(result.reference) * result.plan.sample_time_s
             self._supervise(supervisor.MotionEnded(fault))
+            self._changed.set()
 
     @property
     def commander(self) -> Commander | None:
@@ -433,7 +442,8 @@ class Decisions:
                 return answer, None
             if answer.new:
                 motion = self._motion = Assignment(answer.goal, request.motion, plan)
-                self._resting, self._progress = False, 0.0
+                self._resting = self._at_rest = False
+                self._progress = 0.0
                 self._supervise(supervisor.MotionBegan(request.owner))
         # From here on, a stop finds this motion and halts it, although it has not begun.
         try:
@@ -532,20 +542,25 @@ class Decisions:
         return submitted
 
     def _supervise(self, event: supervisor.Event) -> None:
-        self._supervision, halt = supervisor.supervise(self._supervision, event)
-        if halt is not None and self._motion is not None:
-            self._motion.switch.halt(halt.outcome, halt.reason)
-        self._changed.set()
+        before, motion = self._supervision, self._motion
+        self._supervision, halt = supervisor.supervise(before, event)
+        halts = halt is not None and motion is not None and motion.switch.order is None
+        if halt is not None and motion is not None:
+            motion.switch.halt(halt.outcome, halt.reason)
+        # Each state is a message, and a stop comes in several copies.
+        if halts or self._supervision != before:
+            self._changed.set()
 
     def _status(self) -> tuple[RobotStatus, str]:
-        if self._motion is not None:
+        stop = self._supervision.stop
+        # A stopped robot tells that it is at rest before its result is on the disk.
+        if self._motion is not None and not (self._at_rest and stop is not None):
             order = self._motion.switch.order
             if order is not None:
                 return RobotStatus.RESTING, order[1]
             return (RobotStatus.RESTING if self._resting else RobotStatus.RUNNING), ""
         if self._supervision.fault is not None:
             return RobotStatus.FAULT, self._supervision.fault
-        stop = self._supervision.stop
         if stop is not None:
             return RobotStatus.STOPPED, f"stopped by {stop.sender}: {stop.reason}"
         return RobotStatus.IDLE, self._supervision.unfit or self._last_reason

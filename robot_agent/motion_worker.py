@@ -7,7 +7,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, nullcontext
 from enum import Enum, auto
 from functools import partial
@@ -67,6 +67,7 @@ class MotionWorker:
         decisions: Decisions,
         telemetry: Publisher,
         tracking: Publisher,
+        clerks: Executor,
         *,
         realtime: float | None,
         prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
@@ -82,6 +83,7 @@ class MotionWorker:
         self._decisions = decisions
         self._telemetry = telemetry
         self._tracking = tracking
+        self._clerks = clerks
         self._realtime = realtime
         self._prompt = prompt
         self._late_before = 0
@@ -217,7 +219,11 @@ class MotionWorker:
             details=played.samples.details,
             late_samples=self._robot.late_samples - self._late_before,
         )
-        self._decisions.ended(result, played.fault)
+        if played.fault is None:
+            self._decisions.at_rest()
+        # The clerks are few. When hundreds of robots stop at the same time, those that still move
+        # wait for Python's interpreter behind a few that are at rest, not behind all of them.
+        self._clerks.submit(self._decisions.ended, result, played.fault).result()
 
     def _performed(self, assignment: Assignment) -> Steps[Played]:
         telemetry = self._batcher(assignment)

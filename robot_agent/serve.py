@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,6 +35,11 @@ SWITCH_PER_ROBOT_S = 2e-4
 """Time in s, per robot of a process of simulated ones, that a thread waits for Python's interpreter
 before it asks for it again, so that all that wait ask 5000 times a second at most. At Python's own
 5 ms, the threads of 500 moving robots fill a processor with nothing else, and all come too late."""
+MANY_ROBOTS = 100
+"""Number of simulated robots above which their process gives way to other programs."""
+NICENESS = 5
+"""Niceness of such a process. Linux divides the processors among threads, not among programs, and
+the command that stops hundreds of robots is a single thread."""
 
 
 def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[str, Robot]:
@@ -110,7 +116,7 @@ def serve(
         when_stdin_closes(ended.set)
     keys = FleetKeys(fleet.name)
     with (
-        seldom_switching(tuple(robots.values())),
+        considerate(tuple(robots.values())),
         Interrupts(LANDING) as interrupts,
         ExitStack() as opened,
         closed_together() as agents,
@@ -143,11 +149,13 @@ def serve(
 
 
 @contextmanager
-def seldom_switching(robots: Sequence[Robot]) -> Iterator[None]:
+def considerate(robots: Sequence[Robot]) -> Iterator[None]:
     """Let the threads of many robots wait for longer, unless one is real and has to be prompt."""
     before_s = sys.getswitchinterval()
     if all(robot.spec.simulated for robot in robots):
         sys.setswitchinterval(max(before_s, SWITCH_PER_ROBOT_S * len(robots)))
+        if len(robots) > MANY_ROBOTS:
+            os.nice(NICENESS)
     try:
         yield
     finally:

@@ -104,16 +104,15 @@ def stop_and_print(
         if telling.identity is not None:
             # A stop asks no questions: another fleet's name is not known to this router anyway.
             fleet_name = telling.identity.fleet
-        for key in _keys(robots, fleet_name, principal):
+        keys = _keys(robots, fleet_name, principal)
+        for key in keys:
             telling.put_urgent(key, frame)
         # Confirmations use a session of their own: a robot that does not read may make the router
         # hold up the session on which the stop was sent.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:
-            there = robots_at(asking)
-            for fleet, robot in there:
-                if fleet_name in (None, fleet) and (robots is None or robot in robots):
-                    asking.put_urgent(FleetKeys(fleet).command(robot, principal, STOP), frame)
-            fleets = tuple(sorted({fleet for fleet, _ in there}))
+            for key in keys:
+                asking.put_urgent(key, frame)
+            fleets = tuple(sorted({fleet for fleet, _ in robots_at(asking)}))
             confirmed = _all_confirm(asking, fleets, order, robots, fleet_name)
     if not confirmed:
         _print_failure("Stop these robots by hand.")

@@ -12,9 +12,10 @@ import hashlib
 import json
 import logging
 import os
-import queue
 import threading
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -79,19 +80,16 @@ class Verified:
 
 
 class AuditLog:
-    """Writes entries on a thread of its own, so that neither a stop nor a goal waits for the disk.
+    """Has other threads write its entries, so that neither a stop nor a goal waits for the disk."""
 
-    The thread ends with `close`, after all entries that wait have been written.
-    """
-
-    def __init__(self, folder: Path, robot: str) -> None:
+    def __init__(self, folder: Path, writer: Executor) -> None:
         """Open the log of a robot, or begin one.
 
         A line that was not finished when the machine lost power is removed.
 
         Args:
             folder: State folder of the robot.
-            robot: Name of the robot.
+            writer: What writes the entries, which outlives this.
 
         Raises:
             JournalError: The log cannot be opened, or is a link.
@@ -104,10 +102,12 @@ class AuditLog:
             self._before = _digest_of_the_end(self._file)
         except OSError as error:
             raise JournalError(f"the audit log {self._path}: {error.strerror}") from error
+        self._writer = writer
+        self._lock = threading.Lock()
+        self._waiting: deque[dict[str, object]] = deque()
         self._missed = 0
-        self._waiting: queue.Queue[dict[str, object] | None] = queue.Queue(MOST_WAITING)
-        self._thread = threading.Thread(target=self._write, name=f"{robot}-audit", daemon=True)
-        self._thread.start()
+        self._writing: Future[None] | None = None
+        self._closed = False
 
     def record(
         self,
@@ -138,30 +138,42 @@ class AuditLog:
             "epoch": epoch,
             "answer": as_reason(answer)[:ABOUT_MAX_CHARACTERS],
         }
-        try:
-            self._waiting.put_nowait(entry)
-        except queue.Full:
-            self._missed += 1
+        with self._lock:
+            if self._closed or len(self._waiting) == MOST_WAITING:
+                self._missed += 1
+                return
+            self._waiting.append(entry)
+            if self._writing is None:
+                self._writing = self._writer.submit(self._write)
 
     def close(self) -> None:
         """Write what waits, and end; idempotent."""
-        if self._thread.is_alive():
-            self._waiting.put(None)
-            self._thread.join()
+        with self._lock:
+            closed, self._closed = self._closed, True
+            writing = self._writing
+        if writing is not None:
+            wait([writing])
+        if not closed:
             os.close(self._file)
 
     def _write(self) -> None:
-        while (entry := self._waiting.get()) is not None:
-            missed, self._missed = self._missed, 0
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._writing = None
+                    return
+                entry, last = self._waiting.popleft(), not self._waiting
+                missed, self._missed = self._missed, 0
             document = {**entry, "missed": missed, "before": self._before}
             line = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
             try:
                 write_all(self._file, line + b"\n")
-                if self._waiting.empty():
+                if last:
                     os.fsync(self._file)
             except OSError as error:
                 _log.error("%s: an entry could not be written: %s", self._path, error)
-                self._missed += missed + 1
+                with self._lock:
+                    self._missed += missed + 1
                 with contextlib.suppress(OSError):
                     self._before = _digest_of_the_end(self._file)
             else:

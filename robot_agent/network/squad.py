@@ -21,6 +21,9 @@ Halted = Callable[[str, bytes], Callable[[], None]]
 """Function that takes the key and the payload of a stop, halts a robot, and returns what is left to
 do when all are halted."""
 
+CLERKS = 4
+"""Number of threads that write for all robots of a squad; the disk writes for several at a time."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -39,6 +42,10 @@ class Squad:
         with ExitStack() as opened:
             self.writer = opened.enter_context(ThreadPoolExecutor(1, thread_name_prefix="stops"))
             """Stores the stops of the robots, one after the other."""
+            self.clerks = opened.enter_context(
+                ThreadPoolExecutor(CLERKS, thread_name_prefix="clerk")
+            )
+            """Write what else the robots keep on the disk, and what no motion waits for."""
             # A thread that begins waits for the interpreter, and no stop should wait for that.
             self.writer.submit(int).result()
             self.heartbeat = Heartbeat(session, keys)

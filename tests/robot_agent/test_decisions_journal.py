@@ -111,6 +111,28 @@ def test_the_robot_is_free_again_though_the_end_of_its_goal_could_not_be_stored(
             assert lost.outcome is Outcome.LOST
 
 
+def test_a_stopped_robot_is_seen_at_rest_while_the_disk_is_stuck_with_its_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with agent_on(tmp_path) as decisions:
+        motion = begun(decisions, "a")
+        decisions.stop(SMOKE)
+        result = result_of(motion)
+        assert decisions.state().status is RobotStatus.RESTING
+        seen: list[tuple[RobotStatus, str | None]] = []
+
+        def look() -> None:
+            state = decisions.state()
+            seen.append((state.status, state.goal_id))
+
+        decisions.at_rest()
+        with monkeypatch.context() as disk:
+            before_each_write(disk, look)
+            decisions.ended(result, None)
+        assert set(seen) == {(RobotStatus.STOPPED, "a")}
+        assert decisions.state().goal_id is None
+
+
 def test_a_stop_halts_at_once_while_the_disk_is_stuck_with_a_goal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -43,11 +44,17 @@ class Hanging:
         self.decisions.owner_appeared("o")
         robot.connect()
         self.unfit: str | None = None
+        self.clerks = ThreadPoolExecutor(1)
         self.worker = MotionWorker(
-            *("a", "boot", robot, memory, self.decisions, Mock(), Mock()),
+            *("a", "boot", robot, memory, self.decisions, Mock(), Mock(), self.clerks),
             realtime=None,
             unfit=lambda: self.unfit,
         )
+
+    def end(self) -> None:
+        self.let_go.set()
+        self.worker.close()
+        self.clerks.shutdown()
 
     def hang(self) -> None:
         self.inside.set()
@@ -85,8 +92,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def hanging(clock: Clock) -> Iterator[Hanging]:
     hanging = Hanging(clock)
     yield hanging
-    hanging.let_go.set()
-    hanging.worker.close()
+    hanging.end()
 
 
 def test_a_driver_that_hangs_as_its_idle_robot_lands_is_a_fault(hanging: Hanging) -> None:
@@ -108,7 +114,7 @@ def test_a_robot_that_may_not_move_any_more_does_not_stay_in_the_air(clock: Cloc
     assert not landed.is_set()
     flown.worker.look_after_robot()
     assert landed.wait(PATIENCE_S)
-    flown.worker.close()
+    flown.end()
 
 
 def test_a_goal_that_waits_behind_a_driver_that_hangs_ends(hanging: Hanging) -> None:
@@ -184,4 +190,4 @@ def test_a_result_counts_the_late_samples_of_its_motion_alone(clock: Clock) -> N
     for goal_id, late in (("one", 1), ("two", 0)):
         real.begin(goal_id)
         assert real.result(goal_id).late_samples == late
-    real.worker.close()
+    real.end()

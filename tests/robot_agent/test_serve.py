@@ -8,6 +8,7 @@ from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from threading import Event
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -211,15 +212,17 @@ def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
 @pytest.mark.parametrize(
     ("simulated", "real", "asked_s"), [(500, 0, 0.1), (1, 0, None), (499, 1, None)]
 )
-def test_threads_of_many_robots_ask_for_the_interpreter_seldom_unless_one_of_them_is_real(
-    simulated: int, real: int, asked_s: float | None
+def test_many_robots_take_the_interpreter_and_the_processor_seldom_unless_one_of_them_is_real(
+    simulated: int, real: int, asked_s: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    python_s = sys.getswitchinterval()
+    python_s, niced = sys.getswitchinterval(), Mock()
+    monkeypatch.setattr(fleet_robots.os, "nice", niced)
     kinds = (*[True] * simulated, *[False] * real)
     specs = [puppet_spec().model_copy(update={"simulated": kind}) for kind in kinds]
-    with fleet_robots.seldom_switching([PuppetRobot(spec) for spec in specs]):
+    with fleet_robots.considerate([PuppetRobot(spec) for spec in specs]):
         assert sys.getswitchinterval() == pytest.approx(asked_s or python_s)
     assert sys.getswitchinterval() == python_s
+    assert niced.called == (asked_s is not None)
 
 
 def test_an_agent_serves_the_fleet_file_as_it_was_when_it_was_read_once(

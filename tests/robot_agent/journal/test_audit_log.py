@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,11 +16,18 @@ from nufleet.robot_agent.journal.audit_log import AUDIT_LOG, AuditLog, read_audi
 from nufleet.robot_agent.journal.ledger import JournalError
 
 
+@contextmanager
+def opened(folder: Path) -> Iterator[AuditLog]:
+    with ThreadPoolExecutor(4) as clerks:
+        log = AuditLog(folder, clerks)
+        yield log
+        log.close()
+
+
 def written(folder: Path, *goals: str) -> Path:
-    log = AuditLog(folder, "a")
-    for goal in goals:
-        log.record("desk", "desk.host-1", "goal", goal, "done", epoch=3)
-    log.close()
+    with opened(folder) as log:
+        for goal in goals:
+            log.record("desk", "desk.host-1", "goal", goal, "done", epoch=3)
     return folder / AUDIT_LOG
 
 
@@ -80,10 +89,9 @@ def test_a_line_that_lost_its_end_with_the_power_is_removed(tmp_path: Path) -> N
 def test_texts_from_the_network_control_no_terminal_and_take_no_more_than_a_line(
     tmp_path: Path,
 ) -> None:
-    log = AuditLog(tmp_path, "a")
-    log.record(None, "x" * 5000, "stop", "\x1b[31mred\n" + "ö" * 5000, "stopped")
-    log.close()
-    log.close()
+    with opened(tmp_path) as log:
+        log.record(None, "x" * 5000, "stop", "\x1b[31mred\n" + "ö" * 5000, "stopped")
+        log.close()
     (entry,) = read_audit_log(tmp_path / AUDIT_LOG)
     assert "\x1b" not in entry.about
     assert len((tmp_path / AUDIT_LOG).read_bytes()) < 4096
@@ -106,11 +114,25 @@ def test_the_commands_show_and_check_a_log(tmp_path: Path) -> None:
 def test_a_log_that_is_a_link_is_not_followed_and_named(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").touch()
     (tmp_path / AUDIT_LOG).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(JournalError, match=f"{AUDIT_LOG}: Too many levels of symbolic links"):
-        AuditLog(tmp_path, "a")
+    many = f"{AUDIT_LOG}: Too many levels of symbolic links"
+    with pytest.raises(JournalError, match=many), opened(tmp_path):
+        pass
 
 
 def test_the_digest_of_a_log_that_was_empty_is_met_by_whatever_followed(tmp_path: Path) -> None:
-    AuditLog(tmp_path, "a").close()
+    written(tmp_path)
     noted = verified(tmp_path / AUDIT_LOG).digest
     assert verified(written(tmp_path, "g1"), digest=noted).broken is None
+
+
+def test_entries_of_many_threads_follow_from_each_other_and_none_is_taken_after_the_end(
+    tmp_path: Path,
+) -> None:
+    with opened(tmp_path) as log, ThreadPoolExecutor(8) as pool:
+        asked = [str(k) for k in range(400)]
+        list(pool.map(lambda goal: log.record("d", "d.1", "goal", goal, "done"), asked))
+        log.close()
+        log.record("d", "d.1", "goal", "late", "done")
+    path = tmp_path / AUDIT_LOG
+    assert sorted(entry.about for entry in read_audit_log(path)) == sorted(asked)
+    assert verified(path).broken is None
