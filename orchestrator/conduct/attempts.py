@@ -240,7 +240,8 @@ def retried(
     """Return what a robot plays after a test that was not usable.
 
     What saturated is played at half the amplitude. Everything else is played for up to twice as
-    long and, if noise hid the response, as large as the robot allows.
+    long. If noise hid the response at all tones, only the lower half of them is played, as large as
+    the robot allows: that is several times as large, since fast tones are limited the most.
 
     Args:
         excitation: Excitation of the completed test.
@@ -255,7 +256,7 @@ def retried(
     if "clipped" in codes:
         return _at_amplitudes(excitation, [played.amplitude / 2 for played in plan.played])
     if "uncertain" in codes:
-        excitation = _at_amplitudes(excitation, [None] * len(plan.played))
+        excitation = _lower_half(_at_amplitudes(excitation, [None] * len(plan.played)))
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):
@@ -267,6 +268,19 @@ def retried(
         if duration_s(longer, spec) <= spec.duration_max_s:
             return longer
     return excitation
+
+
+def _lower_half(excitation: Excitation) -> Excitation:
+    """Return an excitation with the lower half of each axis's tones, but no fewer than two."""
+    halves = []
+    for one in excitation.played:
+        tones = sorted(one.tones, key=lambda tone: tone.omega_rad_s)
+        halves.append({"tones": tuple(tones[: max(len(tones) // 2, 2)])})
+    first, *others = halves
+    also = tuple(
+        one.model_copy(update=half) for one, half in zip(excitation.also, others, strict=True)
+    )
+    return excitation.model_copy(update={**first, "also": also})
 
 
 def _at_amplitudes(excitation: Excitation, amplitudes: Sequence[float | None]) -> Excitation:

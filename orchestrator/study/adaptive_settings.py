@@ -48,4 +48,4 @@ class AdaptiveSettings:
     samples: int = 600
     """Number of samples drawn from the belief about each robot's response."""
     grid_points: int = 256
-    """Number of frequencies, evenly spaced over the band, at which distances are computed."""
+    """Number of frequencies, over the band, at which distances are computed (`grid_rad_s`)."""

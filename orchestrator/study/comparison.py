@@ -66,7 +66,7 @@ class Comparison:
             rng: Generator that draws the samples.
         """
         self._plan, self._settings, self._robots, self._rng = plan, settings, robots, rng
-        self.omega_rad_s: FloatArray = np.linspace(*plan.band_rad_s, settings.grid_points)
+        self.omega_rad_s = grid_rad_s(plan.band_rad_s, settings.grid_points)
         """Frequencies at which distances are computed, shape (grid,)."""
         self._spectra = spectra_of(plan)
         drawn = [next(iter(self._spectra.values())).omega_rad_s] if self._spectra else []
@@ -271,4 +271,16 @@ def _together(
             if belief.errors is not None:
                 parts += belief.errors.parts * (float(spectra[axis].power.sum()) / moved)
         errors = PredictedErrors(one.errors.omega_rad_s, parts)
-    return replace(one, psi=psi, psi_star=psi.max(axis=2), likeliest=likeliest, errors=errors)
+    return replace(one, psi=psi, likeliest=likeliest, errors=errors)
+
+
+def grid_rad_s(band_rad_s: tuple[float, float], points: int) -> FloatArray:
+    """Return frequencies in rad/s that cover a band, half of them evenly, half by equal factors.
+
+    Resonances are about as narrow, compared with their frequency, at the lower end of a band as at
+    the upper one.
+    """
+    low, high = band_rad_s
+    evenly = np.linspace(low, high, points - points // 2)
+    by_factors = np.geomspace(low, high, points // 2 + 2)[1:-1]
+    return np.sort(np.concatenate([evenly, by_factors]))

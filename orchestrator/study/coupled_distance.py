@@ -65,4 +65,4 @@ def coupled_belief(
     psi = np.stack([matrix_chordal_distance(target, z) for z in sources.values()])
     means = np.stack([z.mean(axis=0) for z in sources.values()])
     likeliest = matrix_chordal_distance(np.broadcast_to(target.mean(axis=0), means.shape), means)
-    return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2), likeliest)
+    return SelectionBelief(tuple(sources), omega_rad_s, psi, likeliest)

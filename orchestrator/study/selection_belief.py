@@ -17,6 +17,14 @@ from nufleet.shared.distance.chordal import chordal_distance
 INTERVAL = (0.025, 0.5, 0.975)
 """Quantiles between which a quantity lies with a probability of 95 %, and its median."""
 
+WIDER = 1.3
+"""Distance of the bounds of ψ* from its median, as a multiple of that of the samples.
+
+A model of a response has fewer parameters than what it stands for, and says less than is unknown.
+Of 1000 distances in ten families of simulated fleets (`benchmarks/selection_families.py`), 87 to
+99 % lay within the bounds of the samples, and 94 to 100 % within those 1.3 times as far.
+"""
+
 
 @dataclass(frozen=True)
 class PredictedErrors:
@@ -48,8 +56,6 @@ class SelectionBelief:
     """Frequencies of the distances in rad/s, shape (frequencies,)."""
     psi: FloatArray
     """Chordal distance ψ_n(ω), shape (sources, samples, frequencies)."""
-    psi_star: FloatArray
-    """Worst-case distance ψ*_n = max ψ_n(ω) (paper, eq. 6), shape (sources, samples)."""
     likeliest: FloatArray
     """Chordal distance between the means of the responses, shape (sources, frequencies)."""
     errors: PredictedErrors | None = None
@@ -82,12 +88,30 @@ class SelectionBelief:
             left = [error_with_transfer(z[:, count:], target[:, count:]) for z in sources.values()]
             parts = np.abs(np.stack(left)) ** 2 * spectrum.shares
             errors = PredictedErrors(spectrum.omega_rad_s, parts)
-        return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2), likeliest, errors)
+        return SelectionBelief(tuple(sources), omega_rad_s, psi, likeliest, errors)
+
+    @cached_property
+    def psi_star(self) -> FloatArray:
+        """Worst-case distance ψ*_n = max ψ_n(ω) (paper, eq. 6), shape (sources, samples)."""
+        return largest(self.omega_rad_s, self.psi)
 
     @cached_property
     def loss(self) -> FloatArray:
-        """Quantity that the best source minimises, ψ* or the error, shape (sources, samples)."""
-        return self.psi_star if self.errors is None else self.errors.total
+        """Quantity that the best source minimises, ψ* or the error, shape (sources, samples).
+
+        Of distances, it is what the samples scatter around the distance of the mean responses.
+        What is not known of a source moves it away from the target in nearly every sample, which
+        would leave the source that is known best the closest.
+        """
+        if self.errors is not None:
+            return self.errors.total
+        return np.asarray(self.psi_star - self._lengthened[:, None])
+
+    @cached_property
+    def _lengthened(self) -> FloatArray:
+        """By how much the unknown lengthens the median distance of each source, (sources,)."""
+        of_means = largest(self.omega_rad_s, self.likeliest)
+        return np.maximum(np.median(self.psi_star, axis=1) - of_means, 0.0)
 
     def interval(self, source: str) -> tuple[float, float, float]:
         """Return the bounds of a source's ψ*, and its median between them.
@@ -95,12 +119,14 @@ class SelectionBelief:
         What is not known of two responses moves them apart in nearly every sample, so that the
         samples of their distance lie above that of their means; and what is wrong with the means
         has moved these apart by as much. The lower bound is therefore that of the samples less
-        twice the difference (the basic bootstrap: Davison and Hinkley, 1997, section 5.2).
+        twice the difference (the basic bootstrap: Davison and Hinkley, 1997, section 5.2). Both
+        bounds are then moved away from the median (`WIDER`).
         """
         n = self.sources.index(source)
         low, median, high = np.quantile(self.psi_star[n], INTERVAL).tolist()
-        above = max(median - float(self.likeliest[n].max()), 0.0)
-        return max(low - 2.0 * above, 0.0), median, high
+        low -= 2.0 * float(self._lengthened[n])
+        low, high = (median + WIDER * (bound - median) for bound in (low, high))
+        return max(low, 0.0), median, min(high, 1.0)
 
     def decisive_omega_rad_s(self, source: str) -> float:
         """Return the frequency (rad/s) that dominates a source's loss.
@@ -223,3 +249,32 @@ class SelectionBelief:
             f"its {what} is {np.mean(behind):.3f} ± {np.std(behind):.1g} larger "
             f"than that of {leader}"
         )
+
+
+def largest(omega_rad_s: FloatArray, psi: FloatArray) -> FloatArray:
+    """Return the largest distance over frequencies, also where it lies between two of them.
+
+    A parabola through the largest value and its two neighbours has its vertex there. A light
+    resonance is narrower than a few frequencies of the grid, and has its largest distance between
+    them.
+
+    Args:
+        omega_rad_s: Frequencies in rad/s, rising, shape (frequencies,).
+        psi: Distances there, shape (..., frequencies).
+    """
+    highest: FloatArray = psi.max(axis=-1)
+    if len(omega_rad_s) < 3:
+        return highest
+    peak = np.argmax(psi, axis=-1)
+    middle = peak.clip(1, len(omega_rad_s) - 2)
+    before, at, after = (
+        np.take_along_axis(psi, (middle + n)[..., None], axis=-1)[..., 0] for n in (-1, 0, 1)
+    )
+    left = omega_rad_s[middle] - omega_rad_s[middle - 1]
+    right = omega_rad_s[middle + 1] - omega_rad_s[middle]
+    rise, fall = (at - before) / left, (at - after) / right
+    bend = (rise + fall) / (left + right)
+    slope = (rise * right - fall * left) / (left + right)
+    inside = (peak == middle) & (bend > 0.0)
+    above = np.divide(slope**2, 4.0 * bend, where=inside, out=np.zeros_like(at))
+    return np.asarray(np.minimum(highest + above, 1.0))

@@ -90,7 +90,8 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
     """Return the finding that the output is not a response to the reference, or is noisy.
 
     A small coefficient of determination alone is a matter of noise, which the variance accounts
-    for. If the residual is also larger than the reference, the robot did something else.
+    for. If what moves in the residual is also larger than the reference, the robot did something
+    else. Noise of the sensor, which differs from sample to sample, is no motion.
 
     Args:
         reference_rms: Root mean square of the reference, in the same unit as `measured`.
@@ -105,7 +106,10 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
     if total_rms == 0.0:
         return None
     r_squared = 1.0 - (residual_rms / total_rms) ** 2
-    if r_squared < R_SQUARED_MIN and residual_rms > reference_rms:
+    # The second differences of white noise have six times its variance, those of motion hardly any.
+    white = float(np.var(np.diff(residual, 2))) / 6.0
+    moved_rms = math.sqrt(max(residual_rms**2 - white, 0.0))
+    if r_squared < R_SQUARED_MIN and moved_rms > reference_rms:
         return Finding(
             code="unexplained",
             text=f"the tones explain only {100 * max(0.0, r_squared):.0f} % of the output, and the "

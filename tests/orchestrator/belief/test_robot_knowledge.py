@@ -82,6 +82,19 @@ def test_a_response_that_is_not_linear_is_said_and_believed_less() -> None:
     assert spread(nonlinear, rng) > 1.3 * spread(linear, rng)
 
 
+def test_a_quiet_test_at_a_smaller_amplitude_says_nothing_of_the_larger_one() -> None:
+    rng = np.random.default_rng(0)
+    finding = Finding(code="nonlinear", text="5 % of it is distortion", value=0.05)
+    large = replace(one_test(LOOP, rng), quality=Quality(warnings=(finding,)), amplitude=0.2)
+    spreads = {}
+    for name, amplitude in (("smaller", 0.1), ("larger", 0.4)):
+        knowledge = RobotKnowledge("robot", SPEC, BAND[1])
+        knowledge.learn(large, rng)
+        knowledge.learn(replace(one_test(LOOP, rng), amplitude=amplitude), rng)
+        spreads[name] = spread(knowledge, rng)
+    assert spreads["smaller"] > 3 * spreads["larger"]
+
+
 def test_tones_that_could_not_be_estimated_are_left_out() -> None:
     rng = np.random.default_rng(0)
     good = one_test(LOOP, rng)

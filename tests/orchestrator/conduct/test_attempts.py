@@ -30,7 +30,7 @@ from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, ExcitationPlan, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
 from nufleet.shared.frequency_test.timing import Timing
@@ -334,6 +334,19 @@ def test_what_noise_hid_is_repeated_for_longer_and_as_large_as_the_robot_allows(
     longer = plan_excitation(again, puppet_spec(), "r1")
     assert longer.segment_samples == pytest.approx(2 * plan.segment_samples, abs=1)
     assert longer.amplitude > plan.amplitude
+
+
+def test_what_noise_hid_at_all_tones_is_repeated_at_the_lower_ones_which_may_be_larger() -> None:
+    of_x, of_y = np.geomspace(0.5, 9.0, 10).tolist(), np.geomspace(0.6, 8.0, 3).tolist()
+    also = AxisTones(axis="y", tones=tuple(Tone(omega_rad_s=omega) for omega in of_y))
+    tones = tuple(Tone(omega_rad_s=omega) for omega in reversed(of_x))
+    excitation = Excitation(axis="x", tones=tones, also=(also,))
+    slow = tuple(a.model_copy(update={"acceleration_max": 4.0}) for a in puppet_spec().axes)
+    spec = puppet_spec().model_copy(update={"axes": slow})
+    plan = plan_excitation(excitation, spec, "r1")
+    again = retried(excitation, plan, failed("uncertain"), spec)
+    assert again.omega_rad_s == tuple(sorted([*of_x[:5], *of_y[:2]]))
+    assert plan_excitation(again, spec, "r1").amplitude > 2 * plan.amplitude
 
 
 @st.composite

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.orchestrator.study.selection_belief import SelectionBelief, largest
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
@@ -16,7 +16,7 @@ OMEGA = np.array([1.0, 2.0])
 def belief(**psi_star: FloatArray) -> SelectionBelief:
     stars = np.stack(list(psi_star.values()))
     psi = np.stack([0.5 * stars, stars], axis=-1)
-    return SelectionBelief(tuple(psi_star), OMEGA, psi, stars, psi.mean(axis=1))
+    return SelectionBelief(tuple(psi_star), OMEGA, psi, psi.mean(axis=1))
 
 
 def test_distances_are_those_of_responses_drawn_together() -> None:
@@ -118,8 +118,31 @@ def test_what_is_not_seen_of_a_source_can_only_make_it_worse() -> None:
 
 def test_a_lead_that_noise_hides_is_settled_by_as_much_less_variance() -> None:
     rng = np.random.default_rng(0)
-    noisy = belief(leader=np.full(20_000, 0.1), rival=rng.normal(0.19, 0.1, 20_000))
+    noisy = belief(leader=np.full(20_000, 0.4), rival=rng.normal(0.49, 0.1, 20_000))
     # With two sources, P(N(0.09 + 0.01, 0.1 / √times) < 0) = 0.025 at 1.96 deviations.
     assert noisy.variance_to_settle("leader", 0.01, 0.05) == pytest.approx(1.96**2, rel=0.05)
     sure = belief(leader=np.full(200, 0.1), rival=rng.normal(0.5, 0.001, 200))
     assert sure.variance_to_settle("leader", 0.01, 0.05) == 1.0
+
+
+def test_a_source_of_which_little_is_known_is_not_held_to_be_far_away() -> None:
+    """The unknown moves it away in 99 % of the samples, but it may as well be the closest."""
+    rng, shape = np.random.default_rng(0), (4000, 3)
+    unknown = 0.3 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    target, known = np.ones(shape, complex), np.full(shape, 1.2 + 0j)
+    found = SelectionBelief.of(
+        np.arange(1.0, 4.0), target, {"known": known, "unknown": 1.15 + unknown}
+    )
+    assert np.mean(found.psi_star[1] > found.psi_star[0]) > 0.8
+    assert 0.3 < found.probability_best()[0] < 0.7
+
+
+def test_the_largest_distance_may_lie_between_the_frequencies() -> None:
+    omega_rad_s = np.sort(np.random.default_rng(0).uniform(0.0, 2.0, 30))
+    middle = np.linspace(0.5, 1.5, 40)[:, None]
+    parabolas = 0.6 - 0.2 * (omega_rad_s - middle) ** 2
+    np.testing.assert_allclose(largest(omega_rad_s, parabolas), 0.6, rtol=1e-12)
+    rising = np.stack([omega_rad_s / 4, 1.0 - omega_rad_s / 4])
+    np.testing.assert_array_equal(largest(omega_rad_s, rising), rising.max(axis=1))
+    resonance = 0.5 / np.sqrt(1.0 + ((omega_rad_s - 1.0) / 0.15) ** 2)
+    assert abs(largest(omega_rad_s, resonance) - 0.5) < 0.5 * abs(resonance.max() - 0.5)

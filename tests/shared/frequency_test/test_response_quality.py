@@ -254,6 +254,15 @@ def test_no_response_at_all_is_a_measurement_too(seed: int) -> None:
     assert np.all(np.abs(still.z) <= still.radius(1e-3))
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_larger_than_the_reference_is_no_motion_of_the_robot(seed: int) -> None:
+    noisy = verdict_on(lambda y, plan: y + noise(len(y), plan.amplitude, seed=seed), FIVE_TONES)
+    quiet = verdict_on(lambda y, _: y, FIVE_TONES)
+    assert noisy.quality.usable
+    assert "noisy" in warnings(noisy)
+    assert np.all(np.abs(noisy.z - quiet.z) <= noisy.radius(1e-3))
+
+
 def test_a_robot_that_moves_little_is_a_response() -> None:
     little = verdict_on(lambda y, plan: 0.02 * y + noise(len(y), 0.01 * plan.amplitude))
     assert little.quality.usable
