@@ -55,7 +55,7 @@ class ResponsePrior:
     lead_std: float = 1.5
     """Standard deviation of the lead b₁ about 0."""
     log_bandwidth_std: float = 0.8
-    """Standard deviation of ln ω₀ about the logarithm of 0.7 times the band's upper end."""
+    """Least standard deviation of ln ω₀ about the logarithm of 0.7 times the band's upper end."""
     log_damping_std: float = 1.0
     """Standard deviation of ln ζ about ln 0.5."""
     mode_height_std: float = 0.3
@@ -63,15 +63,25 @@ class ResponsePrior:
 
     def loop(self) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of the loop's parameters, each of shape (5,)."""
-        mean = [1.0, 0.0, np.log(0.7 * self.omega_max_rad_s), np.log(0.5), 0.0]
+        fast, slow = self.bandwidths_rad_s
+        mean = [1.0, 0.0, 0.5 * np.log(fast * slow), np.log(0.5), 0.0]
         std = [
             self.gain_std,
             self.lead_std,
-            self.log_bandwidth_std,
+            self.log_bandwidth_std + 0.5 * np.log(fast / slow),
             self.log_damping_std,
             2.0 / self.omega_max_rad_s,
         ]
         return np.array(mean), np.array(std)
+
+    @property
+    def bandwidths_rad_s(self) -> tuple[float, float]:
+        """Bandwidths ω₀ in rad/s that band and settling time suggest, the latter with ζ = 0.5.
+
+        The latter is never the larger one, since something else in the robot may settle last.
+        """
+        fast = 0.7 * self.omega_max_rad_s
+        return fast, min(fast, 2.0 * self.decay_min_1_s)
 
     def mode(self, omega_rad_s: float, damping: float) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of a mode's parameters, each of shape (4,).

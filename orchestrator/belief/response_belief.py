@@ -31,7 +31,7 @@ from nufleet.orchestrator.belief.loop_features import (
 from nufleet.orchestrator.belief.loop_fit import Tones, fit_from
 from nufleet.shared.arrays import ComplexArray, FloatArray
 
-STARTS_BANDWIDTH = (0.35, 0.6, 1.0, 1.7)
+STARTS_BANDWIDTH = (0.5, 0.86, 1.43, 2.4)
 STARTS_DAMPING = (0.1, 0.7)
 MODE_CANDIDATES = 4
 
@@ -210,11 +210,13 @@ class ResponseModel:
         mean, std = self._prior.loop()
         # The posterior has several maxima in bandwidth and damping (parameters 2 and 3, both
         # logarithmic), so the fit starts from a grid of both.
-        starts = np.tile(mean, (len(STARTS_BANDWIDTH) * len(STARTS_DAMPING), 1))
-        for start, (bandwidth, damping) in zip(
-            starts, product(STARTS_BANDWIDTH, STARTS_DAMPING), strict=True
-        ):
-            start[2:4] = np.log(bandwidth * self._prior.omega_max_rad_s), np.log(damping)
+        fast, slow = self._prior.bandwidths_rad_s
+        # A loop much slower than its band is sought by its settling time, too.
+        middles = (fast, slow) if slow < 0.5 * fast else (fast,)
+        found = list(product(middles, STARTS_BANDWIDTH, STARTS_DAMPING))
+        starts = np.tile(mean, (len(found), 1))
+        for start, (middle, bandwidth, damping) in zip(starts, found, strict=True):
+            start[2:4] = np.log(bandwidth * middle), np.log(damping)
         theta, cost = fit_from(starts, floored, mean, std)
         return _Expansion(theta[np.argmin(cost)], mean, std, 0.0)
 

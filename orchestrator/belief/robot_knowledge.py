@@ -14,6 +14,7 @@ from nufleet.orchestrator.belief.amplitude_dependence import (
     differ,
 )
 from nufleet.orchestrator.belief.common_error import CommonError
+from nufleet.orchestrator.belief.distortion import ASSUMED_ANEW, Distortion
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
@@ -27,15 +28,6 @@ from nufleet.shared.robots.spec import RobotSpec
 
 SETTLING_RATIO_MAX = 1.2
 """Largest ratio of a measured settling time to the stated one that is not reported."""
-
-NONLINEAR_DEVIATION = 0.02
-"""Assumed relative change of a nonlinear robot's response at another amplitude."""
-
-NONLINEAR_ELSEWHERE = 8.0
-"""Change of the response in another motion of the same size, as a multiple of the distortion that a
-test shows. Among 48 loops of each kind it is 4 in the median with backlash or a dead zone, 6 with
-friction, 7 with two kinds at once, and 10 where the actuator saturates.
-"""
 
 INFORMATIVE_STD_MAX = 0.05
 """Largest standard deviation of a test's estimates at which agreement shows that the amplitude has
@@ -93,11 +85,9 @@ class RobotKnowledge:
         self.by_amplitude: AmplitudeDependence | None = None
         """What the amplitude does to its response, as its tests or those of others show."""
         self._tones: list[Tones] = []
-        self._doubts: list[FloatArray] = []
-        """Variance of each test's estimates that is the same in all tests, however many there are.
-        """
-        self._shares: list[float] = []
-        """Share of the response that each test leaves open, since it found the robot nonlinear."""
+        self._distortions: list[Distortion] = []
+        self._assumed_distortion = 0.0
+        """Distortion that other robots of its kind have shown."""
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
 
@@ -130,9 +120,9 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
-        share = self._open_share(response)
-        doubt = (share * np.abs(z)) ** 2 + (self._test_doubt if flight is None else 0.0)
+        self._note(response)
         new = Tones(omega, z, variance)
+        distortion = Distortion.of(response, new)
         amplitude = self.amplitude
         compared = flight is None and differ(amplitude, response.amplitude)
         if compared and not self.compared:
@@ -141,11 +131,11 @@ class RobotKnowledge:
         before = self.model if check and not first else None
         self.responses.append(response)
         self._tones.append(new)
-        self._doubts.append(doubt)
-        self._shares.append(share)
+        self._distortions.append(distortion)
         self._model = None
         if before is None:
             return
+        doubt = self._doubts[-1]
         miss = self._miss(before, new, doubt, rng)
         if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
@@ -158,16 +148,13 @@ class RobotKnowledge:
         else:
             self._doubt(self._changed(miss))
 
-    def _open_share(self, response: FrequencyResponse) -> float:
-        """Return the share of the response that a test's own findings leave open."""
-        share = 0.0
+    def _note(self, response: FrequencyResponse) -> None:
+        """Take note of what a test found besides its response."""
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
-                share = max(NONLINEAR_DEVIATION, NONLINEAR_ELSEWHERE * (finding.value or 0.0))
             if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
                 self.settling_time_s, self._model = finding.value or 0.0, None
-        return share
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -196,36 +183,20 @@ class RobotKnowledge:
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
         self.by_amplitude = AmplitudeDependence(new.omega_rad_s, excess)
 
-    def assume(self, by_amplitude: AmplitudeDependence | None) -> None:
-        """Believe of a robot that played one amplitude what others of its kind have shown.
+    def assume(self, by_amplitude: AmplitudeDependence | None, distortion: float) -> None:
+        """Believe of a robot what others of its kind have shown, where its tests are silent.
 
         Args:
             by_amplitude: What the amplitude does to their responses; None if nothing.
+            distortion: Distortion of their tests, as a ratio of the nonlinear to the linear part.
         """
+        before = self._assumed_distortion
+        if abs(distortion - before) > ASSUMED_ANEW * before:
+            self._assumed_distortion, self._model = distortion, None
         if self.compared or by_amplitude is self.by_amplitude:
             return
         if by_amplitude is None or not by_amplitude.equals(self.by_amplitude):
             self.by_amplitude, self._model = by_amplitude, None
-
-    def _whole(
-        self, tones: Tones, doubt: FloatArray, one: FrequencyResponse, largest: float | None
-    ) -> FloatArray:
-        """Return a test's doubt with what its amplitude adds, shape (tones,).
-
-        A test that finds nothing wrong at a smaller amplitude says nothing of a larger one.
-        """
-        if one.flight is not None:
-            return doubt
-        larger = [
-            share
-            for share, other in zip(self._shares, self.responses, strict=True)
-            if differ(other.amplitude, one.amplitude)
-            and (other.amplitude or 0.0) > (one.amplitude or 0.0)
-        ]
-        doubt = np.maximum(doubt, (max(larger, default=0.0) * np.abs(tones.z)) ** 2)
-        if self.by_amplitude is None:
-            return doubt
-        return doubt + self.by_amplitude.variance(tones.omega_rad_s, one.amplitude, largest)
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -248,7 +219,6 @@ class RobotKnowledge:
             ]
         else:
             self._test_doubt += variance
-            self._doubts = [doubt + variance for doubt in self._doubts]
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -290,7 +260,7 @@ class RobotKnowledge:
     def forget(self) -> None:
         """Forget all tests."""
         self.responses, self._tones, self._noise, self._model = [], [], [], None
-        self._doubts, self._shares = [], []
+        self._distortions = []
 
     @property
     def tests(self) -> int:
@@ -298,17 +268,36 @@ class RobotKnowledge:
         return len(self.responses)
 
     @property
-    def doubted(self) -> bool:
-        """Whether something makes its tests uncertain that further tests do not tell."""
-        return any(doubt.any() for doubt in self._whole_doubts)
+    def distortion(self) -> float:
+        """Largest distortion of its tests, as a ratio of the nonlinear to the linear part."""
+        return max((one.found for one in self._distortions), default=0.0)
 
     @property
-    def _whole_doubts(self) -> list[FloatArray]:
-        largest = self.amplitude
-        return [
-            self._whole(*one, largest)
-            for one in zip(self._tones, self._doubts, self.responses, strict=True)
-        ]
+    def doubted(self) -> bool:
+        """Whether something makes its tests uncertain that further tests do not tell."""
+        return any(doubt.any() for doubt in self._doubts)
+
+    @property
+    def _doubts(self) -> list[FloatArray]:
+        """Variance of each test's estimates that is the same in all tests, however many there are.
+
+        It is 0 for a flight, and has the shape (tones,).
+        """
+        played = zip(self._tones, self._distortions, self.responses, strict=True)
+        return [self._doubt_of(*one) for one in played]
+
+    def _doubt_of(
+        self, tones: Tones, distortion: Distortion, response: FrequencyResponse
+    ) -> FloatArray:
+        if response.flight is not None:
+            return np.zeros(len(tones.z))
+        share = distortion.open_share(self._distortions, self._assumed_distortion)
+        doubt: FloatArray = self._test_doubt + (share * np.abs(tones.z)) ** 2
+        if self.by_amplitude is None:
+            return doubt
+        return doubt + self.by_amplitude.variance(
+            tones.omega_rad_s, response.amplitude, self.amplitude
+        )
 
     @property
     def flown_only(self) -> bool:
@@ -323,7 +312,7 @@ class RobotKnowledge:
     @property
     def tones(self) -> Tones:
         """Estimates of all tests and flights, with what is doubted of them in their variances."""
-        doubted = zip(self._tones, self._whole_doubts, strict=True)
+        doubted = zip(self._tones, self._doubts, strict=True)
         return Tones(
             self.omega_rad_s,
             np.concatenate([each.z for each in self._tones]),
@@ -335,7 +324,7 @@ class RobotKnowledge:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
             # A doubt is the same in every test, so that their number must not average it away.
-            played = zip(self._tones, self._whole_doubts, self.responses, strict=True)
+            played = zip(self._tones, self._doubts, self.responses, strict=True)
             common = CommonError.of_tests(
                 [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
             )
@@ -377,8 +366,8 @@ class RobotKnowledge:
         if not self.doubted:
             return np.zeros(len(omega_rad_s))
         nearest = np.argmin(np.abs(self.omega_rad_s - omega_rad_s[:, None]), axis=1)
-        doubt = np.concatenate(self._whole_doubts)[nearest]
-        return np.asarray(DOUBT_STAYS * (1 + len(self._doubts)) * doubt)
+        doubt = np.concatenate(self._doubts)[nearest]
+        return np.asarray(DOUBT_STAYS * (1 + len(self._tones)) * doubt)
 
     def _miss(
         self, before: ResponseModel, new: Tones, doubt: FloatArray, rng: np.random.Generator

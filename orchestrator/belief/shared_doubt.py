@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
+from nufleet.orchestrator.belief.distortion import of_kind
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 
 
@@ -12,17 +13,22 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
     """Extend what is doubted of some robots to the others.
 
     Where the flights of one are no tests, those of the others are not, either; and what the
-    amplitude does to some of a kind, it may do to all of it.
+    amplitude does to some of a kind, it may do to all of it, as some of a kind that are not linear
+    show what noise may hide in the tests of the others.
 
     Args:
         robots: What is known of every robot of a fleet, at least one.
     """
     doubt = max(robot.flight_doubt for robot in robots)
-    alike: dict[str, list[AmplitudeDependence | None]] = {robot.spec.kind: [] for robot in robots}
-    for robot in robots:
-        if robot.compared:
-            alike[robot.spec.kind].append(robot.by_amplitude)
-    shown = {kind: AmplitudeDependence.of_fleet(found) for kind, found in alike.items()}
+    kinds = {robot.spec.kind for robot in robots}
+    alike = {kind: [robot for robot in robots if robot.spec.kind == kind] for kind in kinds}
+    shown = {
+        kind: (
+            AmplitudeDependence.of_fleet([one.by_amplitude for one in some if one.compared]),
+            of_kind([one.distortion for one in some if one.tests]),
+        )
+        for kind, some in alike.items()
+    }
     for robot in robots:
         robot.doubt_flights(doubt)
-        robot.assume(shown[robot.spec.kind])
+        robot.assume(*shown[robot.spec.kind])

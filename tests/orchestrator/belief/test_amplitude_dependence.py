@@ -52,13 +52,13 @@ def test_it_is_assumed_of_a_robot_until_its_own_tests_tell() -> None:
         return float(np.median(known.model.draw(grid, 300, rng).std(axis=0)))
 
     before = spread()
-    known.assume(AmplitudeDependence(test_omega := np.array([0.5, 5.4]), np.full(2, 0.04)))
+    known.assume(AmplitudeDependence(test_omega := np.array([0.5, 5.4]), np.full(2, 0.04)), 0.0)
     assert known.doubted
     assert spread() > 2 * before
-    known.assume(AmplitudeDependence(test_omega, np.full(2, 0.04)))
+    known.assume(AmplitudeDependence(test_omega, np.full(2, 0.04)), 0.0)
     known.learn(replace(Loop(3.0).answer(test, 0.01, rng), amplitude=0.1), rng)
     assert known.findings == ()
-    known.assume(AmplitudeDependence(test_omega, np.full(2, 0.04)))
+    known.assume(AmplitudeDependence(test_omega, np.full(2, 0.04)), 0.0)
     assert not known.doubted, "its own responses agreed"
     assert spread() < 1.5 * before
 
@@ -73,6 +73,6 @@ def test_a_test_that_is_distorted_does_not_show_that_amplitude_changes_nothing()
     known = RobotKnowledge("robot", SPEC, BAND[1])
     known.learn(replace(Loop(3.0).answer(test, 0.01, rng), amplitude=0.2), rng)
     known.learn(replace(Loop(2.5).answer(test, 0.01, rng), amplitude=0.1, quality=bent), rng)
-    known.assume(FOUND)
+    known.assume(FOUND, 0.0)
     assert not known.compared
     assert known.by_amplitude is FOUND
