@@ -144,7 +144,7 @@ def test_the_estimate_names_the_largest_distance_that_was_measured() -> None:
 
 
 def test_a_rival_is_not_asked_below_its_lowest_tone_where_what_was_seen_of_it_is_enough() -> None:
-    fleet = {"target": Loop(3.0), "near": Loop(3.3), "rival": Loop(3.32)}
+    fleet = {"target": Loop(3.0), "near": Loop(3.3), "rival": Loop(3.31)}
     report, asked = last_of(fleet)
     assert report.selected == "near"
     assert (report.confidence or 0.0) >= 0.95
