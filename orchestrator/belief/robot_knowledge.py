@@ -90,6 +90,8 @@ class RobotKnowledge:
         """Distortion that other robots of its kind have shown."""
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
+        self.revision = 0
+        """Number that changes with what is believed of the robot."""
 
     def learn(
         self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
@@ -127,12 +129,13 @@ class RobotKnowledge:
         compared = flight is None and differ(amplitude, response.amplitude)
         if compared and not self.compared:
             # What others have shown is no longer assumed, if the robot shows it itself.
-            self.by_amplitude, self._model = None, None
+            self.by_amplitude = None
+            self._revise()
         before = self.model if check and not first else None
         self.responses.append(response)
         self._tones.append(new)
         self._distortions.append(distortion)
-        self._model = None
+        self._revise()
         if before is None:
             return
         doubt = self._doubts[-1]
@@ -141,7 +144,7 @@ class RobotKnowledge:
             self.compared = True
         if miss is None:
             return
-        self._model = None
+        self._revise()
         tests_only = all(one.flight is None for one in self.responses)
         if tests_only and compared:
             self._doubt_amplitudes(new, miss, amplitude or 0.0, response.amplitude or 0.0)
@@ -154,7 +157,8 @@ class RobotKnowledge:
             if finding.code == "nonlinear":
                 self._find(finding.text)
             if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
-                self.settling_time_s, self._model = finding.value or 0.0, None
+                self.settling_time_s = finding.value or 0.0
+                self._revise()
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -165,7 +169,7 @@ class RobotKnowledge:
         more = variance - self.flight_doubt
         if more > 0 and any(response.flight is not None for response in self.responses):
             self._doubt(more)
-            self._model = None
+            self._revise()
 
     def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
@@ -192,11 +196,13 @@ class RobotKnowledge:
         """
         before = self._assumed_distortion
         if abs(distortion - before) > ASSUMED_ANEW * before:
-            self._assumed_distortion, self._model = distortion, None
+            self._assumed_distortion = distortion
+            self._revise()
         if self.compared or by_amplitude is self.by_amplitude:
             return
         if by_amplitude is None or not by_amplitude.equals(self.by_amplitude):
-            self.by_amplitude, self._model = by_amplitude, None
+            self.by_amplitude = by_amplitude
+            self._revise()
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -259,8 +265,8 @@ class RobotKnowledge:
 
     def forget(self) -> None:
         """Forget all tests."""
-        self.responses, self._tones, self._noise, self._model = [], [], [], None
-        self._distortions = []
+        self.responses, self._tones, self._noise, self._distortions = [], [], [], []
+        self._revise()
 
     @property
     def tests(self) -> int:
@@ -332,8 +338,12 @@ class RobotKnowledge:
         return self._model
 
     def forget_model(self) -> None:
-        """Forget the fitted belief, which takes about a megabyte, until it is asked for again."""
+        """Forget the fitted belief, which takes several megabytes, until it is asked for again."""
         self._model = None
+
+    def _revise(self) -> None:
+        self._model = None
+        self.revision += 1
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
         """Predict the variances of a test's estimates from the earlier tests.

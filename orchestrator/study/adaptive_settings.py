@@ -38,6 +38,8 @@ class AdaptiveSettings:
     compared: int = 32
     """Number of sources, the closest at their tones, that are compared at every frequency; beyond
     it, only those are that their tones leave a chance."""
+    compared_max: int = 160
+    """Largest number of them. Others are held to be as close as their tones allow."""
     together: float = 0.5
     """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01

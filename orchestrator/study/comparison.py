@@ -8,7 +8,7 @@ one axis does to another.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
 from nufleet.orchestrator.study.errors_across import ErrorsAcross
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
-from nufleet.orchestrator.study.screening import Screened, surely_behind
+from nufleet.orchestrator.study.screening import Screened
 from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -44,7 +44,7 @@ class Compared:
     outrun: Mapping[str, str] = field(default_factory=dict)
     """Reason for each source that was not compared, since its tones show that it cannot win."""
     estimates: tuple[SourceEstimate, ...] = ()
-    """What is known of those, by rising distance."""
+    """What is known of all that were not compared in full, by rising distance."""
 
 
 class Comparison:
@@ -72,14 +72,14 @@ class Comparison:
         drawn = [next(iter(self._spectra.values())).omega_rad_s] if self._spectra else []
         self._drawn_rad_s = np.concatenate([self.omega_rad_s, *drawn])
         self._across: tuple[tuple[Coupling, ...], ErrorsAcross] | None = None
-        self._draws: dict[tuple[str, str], tuple[ResponseModel, ComplexArray]] = {}
+        self._draws: dict[tuple[str, str], tuple[int, ComplexArray]] = {}
         self._matrices: dict[str, tuple[list[ComplexArray], ComplexArray | None]] = {}
 
     def of(self, sources: Sequence[str]) -> Compared:
         """Compare the target with sources, all of which have been tested on at least one axis.
 
-        Of many sources, those are left out that their tones alone show to be far behind. An error
-        on a trajectory has no such bound, and neither have distances of matrices.
+        Of many sources, only those are compared at every frequency that their tones leave a chance.
+        An error on a trajectory has no such bound, and neither have distances of matrices.
         """
         several = len(self._plan.axes) > 1 or bool(self._spectra)
         if several or len(sources) <= self._settings.compared:
@@ -87,65 +87,70 @@ class Comparison:
         (axis,) = self._plan.axes
         target = self._draw(self._plan.target)[axis]
         known = {name: self._robots[name].axes[axis].tones for name in sources}
-        screened = Screened.of(self.omega_rad_s, target, known)
-        first = self._settings.compared
-        joining, waiting = screened.order[:first], screened.order[first:]
+        screened = Screened.of(self.omega_rad_s, target, known, self._rng)
+        step = self._settings.compared
+        joining = [int(n) for n in np.argsort(screened.loss.mean(axis=1), kind="stable")[:step]]
         places: list[int] = []
-        outrun: dict[str, str] = {}
-        estimates: list[SourceEstimate] = []
         while True:
             places = sorted([*places, *joining])
             compared = self._in_full([sources[n] for n in places])
             belief = compared.belief
             leader, _ = belief.leader(self._settings.epsilon, self._settings.delta)
-            ahead = belief.psi_star[belief.sources.index(leader)]
-            behind = screened.outrun(ahead)
-            open_still = [n for n in waiting if not behind[n]]
-            if not open_still:
+            ahead = belief.loss[belief.sources.index(leader)]
+            chances = screened.ahead(ahead - self._settings.epsilon)
+            chances[places] = 0.0
+            likely = [int(n) for n in np.argsort(-chances, kind="stable") if chances[n] > 0.0]
+            joining = likely[: min(step, self._settings.compared_max - len(places))]
+            if not joining:
                 break
-            for place in self._surplus(belief, ahead, len(sources)):
-                name = belief.sources[place]
-                outrun[name] = belief.lag(name, leader)
-                estimates.append(self._estimate(belief, name))
-            places = [n for n in places if sources[n] not in outrun]
-            self._forget_but({self._plan.target, *(sources[n] for n in places)})
-            joining = open_still[: self._settings.compared]
-            waiting = [n for n in waiting if n not in joining]
-        self._forget_but({self._plan.target, *belief.sources})
-        for n in waiting:
-            outrun[sources[n]] = screened.reason(n, leader, ahead)
-            estimates.append(screened.estimate(n, self._robots[sources[n]].tests))
+        self._forget_others(belief.sources)
+        return self._beside(compared, screened, places, ahead, leader)
+
+    def _beside(
+        self,
+        compared: Compared,
+        screened: Screened,
+        places: Sequence[int],
+        ahead: FloatArray,
+        leader: str,
+    ) -> Compared:
+        """Add to a comparison what the tones say of the sources that it leaves out.
+
+        Args:
+            compared: Comparison of some sources.
+            screened: What their tones say of all sources.
+            places: Places of those that were compared, among all.
+            ahead: Samples of the leader's loss, shape (samples,).
+            leader: Name of the source that is selected now.
+        """
+        others = np.delete(np.arange(len(screened.sources)), places)
+        surely = screened.outrun(ahead)
+        estimates = [
+            screened.estimate(n, self._robots[screened.sources[n]].tests) for n in others.tolist()
+        ]
+        closest_other = screened.loss[others].min(axis=0, initial=np.inf)
+        belief = replace(compared.belief, closest_other=closest_other)
+        open_still = int(np.sum(screened.ahead(ahead)[others] > 0.0))
+        finding = (
+            f"{open_still} more sources may be as close as {leader}, as far as their tones tell: "
+            f"the {len(places)} that are the most likely to be were compared between their tones"
+        )
         return replace(
             compared,
-            outrun=outrun,
+            belief=belief,
+            findings=(*compared.findings, finding) if open_still else compared.findings,
+            outrun={
+                screened.sources[n]: screened.reason(n, leader, ahead)
+                for n in others.tolist()
+                if surely[n]
+            },
             estimates=tuple(sorted(estimates, key=lambda one: one.psi)),
         )
 
-    def _surplus(self, belief: SelectionBelief, ahead: FloatArray, among: int) -> list[int]:
-        """Return the places of sources that are surely behind, and not among the closest few.
-
-        Their samples take megabytes each, and are of no use any more.
-        """
-        closest = np.argsort(belief.psi_star.mean(axis=1), kind="stable")
-        behind = surely_behind(belief.psi_star, ahead, among)
-        return [int(n) for n in closest[self._settings.compared :] if behind[n]]
-
-    def _estimate(self, belief: SelectionBelief, name: str) -> SourceEstimate:
-        low, median, high = belief.interval(name)
-        return SourceEstimate(
-            robot=name,
-            psi=median,
-            psi_low=low,
-            psi_high=high,
-            omega_rad_s=belief.decisive_omega_rad_s(name),
-            tests=self._robots[name].tests,
-        )
-
-    def _forget_but(self, names: Collection[str]) -> None:
-        """Forget models and samples of all other robots, which take a few megabytes each."""
-        for name, axis in [key for key in self._draws if key[0] not in names]:
-            del self._draws[name, axis]
-            self._robots[name].axes[axis].forget_model()
+    def _forget_others(self, names: Sequence[str]) -> None:
+        """Forget samples of robots that are not compared any more, which take megabytes each."""
+        kept = {self._plan.target, *names}
+        self._draws = {key: drawn for key, drawn in self._draws.items() if key[0] in kept}
 
     def _in_full(self, sources: Sequence[str]) -> Compared:
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
@@ -201,9 +206,11 @@ class Comparison:
             if not known.tests:
                 continue
             before = self._draws.get((name, axis))
-            if before is None or before[0] is not known.model:
+            if before is None or before[0] != known.revision:
                 z = draw(known.model, self._drawn_rad_s, self._settings.samples, self._rng)
-                before = self._draws[name, axis] = known.model, z
+                before = self._draws[name, axis] = known.revision, z
+                if len(self._robots) > self._settings.compared:
+                    known.forget_model()
             drawn[axis] = before[1]
         return drawn
 

@@ -60,6 +60,8 @@ class SelectionBelief:
     """Chordal distance between the means of the responses, shape (sources, frequencies)."""
     errors: PredictedErrors | None = None
     """Predicted errors on the trajectory, if one is known."""
+    closest_other: FloatArray | None = None
+    """Least loss that others may have, whose tones alone were compared, shape (samples,)."""
 
     @staticmethod
     def of(
@@ -110,23 +112,12 @@ class SelectionBelief:
     @cached_property
     def _lengthened(self) -> FloatArray:
         """By how much the unknown lengthens the median distance of each source, (sources,)."""
-        of_means = largest(self.omega_rad_s, self.likeliest)
-        return np.maximum(np.median(self.psi_star, axis=1) - of_means, 0.0)
+        return lengthened(self.psi_star, largest(self.omega_rad_s, self.likeliest))
 
     def interval(self, source: str) -> tuple[float, float, float]:
-        """Return the bounds of a source's ψ*, and its median between them.
-
-        What is not known of two responses moves them apart in nearly every sample, so that the
-        samples of their distance lie above that of their means; and what is wrong with the means
-        has moved these apart by as much. The lower bound is therefore that of the samples less
-        twice the difference (the basic bootstrap: Davison and Hinkley, 1997, section 5.2). Both
-        bounds are then moved away from the median (`WIDER`).
-        """
+        """Return the bounds of a source's ψ*, and its median between them; see `bounds`."""
         n = self.sources.index(source)
-        low, median, high = np.quantile(self.psi_star[n], INTERVAL).tolist()
-        low -= 2.0 * float(self._lengthened[n])
-        low, high = (median + WIDER * (bound - median) for bound in (low, high))
-        return max(low, 0.0), median, min(high, 1.0)
+        return bounds(self.psi_star[n], float(self._lengthened[n]))
 
     def decisive_omega_rad_s(self, source: str) -> float:
         """Return the frequency (rad/s) that dominates a source's loss.
@@ -158,7 +149,10 @@ class SelectionBelief:
             epsilon: Difference ε of two losses that does not matter.
             delta: Accepted probability δ of a wrong selection.
         """
-        within = np.mean(self.loss <= self.loss.min(axis=0) + epsilon, axis=1)
+        least = self.loss.min(axis=0)
+        if self.closest_other is not None:
+            least = np.minimum(least, self.closest_other)
+        within = np.mean(self.loss <= least + epsilon, axis=1)
         order = np.lexsort((self.typical_loss, -np.minimum(within, 1 - delta)))
         return self.sources[order[0]], float(within[order[0]])
 
@@ -186,7 +180,8 @@ class SelectionBelief:
             for n, source in enumerate(self.sources)
             if source != leader
         }
-        surely = 1.0 - float(np.mean(np.any([*ahead.values(), np.zeros(len(limit), bool)], axis=0)))
+        others = np.inf if self.closest_other is None else self.closest_other
+        surely = 1.0 - float(np.mean(np.any([*ahead.values(), limit > others], axis=0)))
         return surely, {source: float(np.mean(one)) for source, one in ahead.items()}
 
     def _seen(self, n: int, from_rad_s: float) -> FloatArray:
@@ -249,6 +244,35 @@ class SelectionBelief:
             f"its {what} is {np.mean(behind):.3f} ± {np.std(behind):.1g} larger "
             f"than that of {leader}"
         )
+
+
+def lengthened(psi_star: FloatArray, of_means: FloatArray) -> FloatArray:
+    """Return by how much the unknown lengthens the median distance of each source, (sources,).
+
+    Args:
+        psi_star: Samples of the distances, shape (sources, samples).
+        of_means: Distances between the means of the responses, shape (sources,).
+    """
+    return np.maximum(np.median(psi_star, axis=1) - of_means, 0.0)
+
+
+def bounds(psi_star: FloatArray, longer: float) -> tuple[float, float, float]:
+    """Return the bounds of a distance, and its median between them.
+
+    What is not known of two responses moves them apart in nearly every sample, so that the samples
+    of their distance lie above that of their means; and what is wrong with the means has moved
+    these apart by as much. The lower bound is therefore that of the samples less twice the
+    difference (the basic bootstrap: Davison and Hinkley, 1997, section 5.2). Both bounds are then
+    moved away from the median (`WIDER`).
+
+    Args:
+        psi_star: Samples of the distance, shape (samples,).
+        longer: By how much the unknown lengthens it.
+    """
+    low, median, high = np.quantile(psi_star, INTERVAL).tolist()
+    low -= 2.0 * longer
+    low, high = (median + WIDER * (bound - median) for bound in (low, high))
+    return max(low, 0.0), median, min(high, 1.0)
 
 
 def largest(omega_rad_s: FloatArray, psi: FloatArray) -> FloatArray:
