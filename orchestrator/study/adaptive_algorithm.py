@@ -13,6 +13,7 @@ decides, as `nufleet.orchestrator.study.comparison` says.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -264,6 +265,8 @@ class AdaptiveStudy:
         settings = self._settings
         times = belief.variance_to_settle(leader, settings.epsilon, settings.delta)
         more_s = (times - 1.0) * self._looks.asked_s
+        if not math.isfinite(more_s):
+            return "; more tests may well favour another source"
         return f"; with as much noise, about {more_s:.2g} robot-seconds more would settle it"
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,7 +197,8 @@ class SelectionBelief:
     def variance_to_settle(self, leader: str, epsilon: float, delta: float) -> float:
         """Return the factor by which variances have to fall until the leader is surely the best.
 
-        All leads are assumed to be normal, and their means to stay what they are.
+        All leads are assumed to be normal, and their means to stay what they are; it is infinite
+        where one of them says that another source is the best.
 
         Args:
             leader: Name of the source that is selected now.
@@ -206,8 +208,10 @@ class SelectionBelief:
         n = self.sources.index(leader)
         leads = np.delete(self.loss, n, axis=0) - self.loss[n]
         needed = -float(ndtri(delta / len(self.sources))) * leads.std(axis=1)
-        margin = np.maximum(leads.mean(axis=1) + epsilon, np.finfo(float).tiny)
-        return float(np.max((needed / margin) ** 2, initial=1.0))
+        margin = leads.mean(axis=1) + epsilon
+        if np.any(margin <= 0.0):
+            return math.inf
+        return float(np.max(needed / margin, initial=1.0)) ** 2
 
     def probability_best(self) -> FloatArray:
         """Return the share of samples in which each source is the best, shape (sources,)."""

@@ -123,6 +123,8 @@ def test_a_lead_that_noise_hides_is_settled_by_as_much_less_variance() -> None:
     assert noisy.variance_to_settle("leader", 0.01, 0.05) == pytest.approx(1.96**2, rel=0.05)
     sure = belief(leader=np.full(200, 0.1), rival=rng.normal(0.5, 0.001, 200))
     assert sure.variance_to_settle("leader", 0.01, 0.05) == 1.0
+    behind = belief(leader=rng.normal(0.5, 0.1, 200), rival=np.full(200, 0.1))
+    assert behind.variance_to_settle("leader", 0.01, 0.05) == np.inf
 
 
 def test_a_source_of_which_little_is_known_is_not_held_to_be_far_away() -> None:
