@@ -7,7 +7,7 @@ no network, thread or clock, so that the same code runs in simulations of the wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -90,22 +90,16 @@ def estimated(result: GoalResult) -> FrequencyResponse:
     return replace(response, quality=quality)
 
 
-def widened(
-    response: FrequencyResponse, robot: str, specs: Mapping[str, RobotSpec]
-) -> FrequencyResponse:
-    """Return a response whose variance includes the unknown delay of how its robot is measured.
+def share_delay(specs: Iterable[RobotSpec]) -> bool:
+    """Return whether all robots are measured through the same chain.
 
-    Robots that are all measured through the same
-    chain share its delay, so that their distances do not depend on it.
+    They share its delay, so that their distances do not depend on it; otherwise the variance of
+    each response has to include what is unknown of its own (`FrequencyResponse.delayed`).
 
     Args:
-        response: Estimated response.
-        robot: Name of its robot.
-        specs: Specs of the robots that are compared, by name.
+        specs: Specs of the robots that are compared.
     """
-    if len({spec.measurement for spec in specs.values()}) == 1:
-        return response
-    return response.delayed(specs[robot].delay_uncertainty_s)
+    return len({spec.measurement for spec in specs}) == 1
 
 
 def without_the_expected(response: FrequencyResponse, spec: RobotSpec) -> FrequencyResponse:
@@ -117,11 +111,14 @@ def without_the_expected(response: FrequencyResponse, spec: RobotSpec) -> Freque
         response: Estimated response.
         spec: Spec of the robot.
     """
+    before = response.quality.warnings
     warnings = tuple(
         one
-        for one in response.quality.warnings
+        for one in before
         if one.code != "ringing" or (one.value or math.inf) > spec.settling_time_s
     )
+    if len(warnings) == len(before):
+        return response
     return replace(response, quality=response.quality.model_copy(update={"warnings": warnings}))
 
 
@@ -140,6 +137,7 @@ class Attempts:
         """
         self._log = log
         self._specs = specs
+        self._share_delay = share_delay(specs.values())
         self._estimate = estimate
         self._robot_time_s: dict[str, float] = {}
 
@@ -188,14 +186,16 @@ class Attempts:
             reason = f"{result.outcome}: {result.reason}"
             retry = _retry(test, test.excitation, excuse)
         else:
-            response = widened(self._estimate(result), test.robot, self._specs)
-            response = without_the_expected(response, self._specs[test.robot])
+            spec = self._specs[test.robot]
+            response = self._estimate(result)
+            if not self._share_delay:
+                response = response.delayed(spec.delay_uncertainty_s)
+            response = without_the_expected(response, spec)
             if response.quality.usable:
                 end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
                 self._log.ended(test, end)
                 return Settled(Measured(test.robot, response, result, test.attempt, total_s))
             reason = "; ".join(str(finding) for finding in response.quality.reasons)
-            spec = self._specs[test.robot]
             played = retried(test.excitation, result.test_plan, response.quality, spec)
             retry = _retry(test, played)
         return self._followed(

@@ -18,7 +18,6 @@ from nufleet.orchestrator.conduct.attempts import (
     Settled,
     estimated,
     retried,
-    widened,
     without_the_expected,
 )
 from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
@@ -404,18 +403,19 @@ def test_an_unknown_delay_widens_responses_unless_all_robots_are_measured_alike(
         changes = {"measurement": measurement, "delay_uncertainty_s": delay_uncertainty_s}
         return puppet_spec().model_copy(update=changes)
 
-    response = FrequencyResponse(
-        omega_rad_s=np.array([2.0, 5.0]),
-        z=np.array([1.0, 2.0j]),
-        variance=np.array([1e-6, 1e-6]),
-        segments=4,
-        quality=Quality(),
-    )
+    def variance(**specs: RobotSpec) -> float:
+        test = a_test()
+        each = Attempts(InMemory(), {"r1": specs["own"], "r2": specs["other"]})
+        settled = each.settle(test, Ended(result=played(test)), interrupted=False)
+        assert isinstance(settled.outcome, Measured)
+        return float(settled.outcome.response.variance[0])
+
     mocap, onboard = spec("motion-capture", 0.002), spec("onboard")
-    apart = widened(response, "a", {"a": mocap, "b": onboard})
-    np.testing.assert_allclose(apart.variance, 1e-6 + np.array([0.004, 0.02]) ** 2)
-    assert widened(response, "b", {"a": mocap, "b": onboard}) is response
-    assert widened(response, "a", {"a": mocap, "b": mocap}) is response
+    (omega_rad_s,) = TEST.omega_rad_s
+    alone = variance(own=mocap, other=mocap)
+    more = variance(own=mocap, other=onboard) - alone
+    assert more == pytest.approx((0.002 * omega_rad_s) ** 2, rel=1e-6)
+    assert variance(own=onboard, other=mocap) == alone
 
 
 @pytest.mark.parametrize(
