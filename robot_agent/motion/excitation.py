@@ -38,7 +38,8 @@ def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> Exci
     plan = _timed(excitation, spec, robot)
     step_s = spec.sample_time_s
     unit_references = reference_of(plan).reshape(plan.samples, len(axes))
-    peaks = [peak_velocity_and_acceleration(one, step_s) for one in unit_references.T]
+    velocities, accelerations = _differences(unit_references, step_s)
+    peaks = np.stack([np.abs(one).max(axis=0) for one in (velocities, accelerations)], 1).tolist()
     amplitudes = [
         min(axis.amplitude_max, axis.velocity_max / velocity, axis.acceleration_max / acceleration)
         if wanted.amplitude is None
@@ -47,7 +48,7 @@ def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> Exci
             excitation.played, axes, peaks, strict=True
         )
     ]
-    share = joint_share(*_differences(unit_references * amplitudes, step_s), axes)
+    share = joint_share(velocities * amplitudes, accelerations * amplitudes, axes)
     if excitation.amplitude is None:
         amplitudes = [HEADROOM * (share * amplitude) for amplitude in amplitudes]
     else:
@@ -110,7 +111,8 @@ def _differences(references: FloatArray, sample_time_s: float) -> tuple[FloatArr
     """Return velocities and accelerations, shape (samples + 3 or + 2, axes), of (samples, axes)."""
     # Two zeros on either side, since the robot rests at 0 before the first and after the last
     # sample and the steps from and to rest count too.
-    padded = np.pad(references, ((2, 2), (0, 0)))
+    padded = np.zeros((len(references) + 4, references.shape[1]))
+    padded[2:-2] = references
     velocity = np.diff(padded, axis=0) / sample_time_s
     return velocity, np.diff(velocity, axis=0) / sample_time_s
 
