@@ -77,6 +77,6 @@ def of_kind(found: Sequence[float]) -> float:
     """Return what distortion may be expected of a robot in which none was found.
 
     Args:
-        found: Distortion of each tested robot of its kind; 0 where none was found.
+        found: Distortion of each tested robot of its kind, shape (robots,); 0 where none was found.
     """
     return float(np.sqrt(np.mean(np.square(found)))) if found else 0.0

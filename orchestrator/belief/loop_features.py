@@ -55,7 +55,8 @@ class ResponsePrior:
     lead_std: float = 1.5
     """Standard deviation of the lead b₁ about 0."""
     log_bandwidth_std: float = 0.8
-    """Least standard deviation of ln ω₀ about the logarithm of 0.7 times the band's upper end."""
+    """Standard deviation of ln ω₀ about each of the two bandwidths that are expected, and of all
+    that lies between them."""
     log_damping_std: float = 1.0
     """Standard deviation of ln ζ about ln 0.5."""
     mode_height_std: float = 0.3

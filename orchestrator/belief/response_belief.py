@@ -33,6 +33,8 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 
 STARTS_BANDWIDTH = (0.5, 0.86, 1.43, 2.4)
 STARTS_DAMPING = (0.1, 0.7)
+"""Bandwidths, as multiples of each that is expected, and damping ratios from which fits start."""
+
 MODE_CANDIDATES = 4
 
 

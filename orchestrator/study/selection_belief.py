@@ -187,12 +187,13 @@ class SelectionBelief:
 
     def _seen(self, n: int, from_rad_s: float) -> FloatArray:
         """Return the part of a source's loss from a frequency (rad/s) on, shape (samples,)."""
-        if self.errors is None:
-            return np.asarray(
-                np.max(self.psi[n][:, self.omega_rad_s >= from_rad_s], axis=1, initial=0.0)
-            )
-        parts = self.errors.parts[n][:, self.errors.omega_rad_s >= from_rad_s]
-        return np.asarray(np.sqrt(parts.sum(axis=1)))
+        if self.errors is not None:
+            parts = self.errors.parts[n][:, self.errors.omega_rad_s >= from_rad_s]
+            return np.asarray(np.sqrt(parts.sum(axis=1)))
+        tested = self.omega_rad_s >= from_rad_s
+        psi = np.max(self.psi[n : n + 1, :, tested], axis=2, initial=0.0)
+        of_means = np.max(self.likeliest[n : n + 1, tested], axis=1, initial=0.0)
+        return np.asarray((psi - lengthened(psi, of_means))[0])
 
     def variance_to_settle(self, leader: str, epsilon: float, delta: float) -> float:
         """Return the factor by which variances have to fall until the leader is surely the best.
