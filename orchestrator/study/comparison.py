@@ -84,17 +84,25 @@ class Comparison:
         several = len(self._plan.axes) > 1 or bool(self._spectra)
         if several or len(sources) <= self._settings.compared:
             return self._in_full(sources)
-        (axis,) = self._plan.axes
-        target = self._draw(self._plan.target)[axis]
+        return self._of_many(self._plan.axis, sources)
+
+    def _of_many(self, axis: str, sources: Sequence[str]) -> Compared:
+        """Compare sources until the tones of the others leave them no chance."""
+        target = self._draw(self._plan.target)
         known = {name: self._robots[name].axes[axis].tones for name in sources}
-        screened = Screened.of(self.omega_rad_s, target, known, self._rng)
+        screened = Screened.of(self.omega_rad_s, target[axis], known, self._rng)
         step = self._settings.compared
         joining = [int(n) for n in np.argsort(screened.loss.mean(axis=1), kind="stable")[:step]]
         places: list[int] = []
+        draws = {self._plan.target: target}
+        belief: SelectionBelief | None = None
         while True:
-            places = sorted([*places, *joining])
-            compared = self._in_full([sources[n] for n in places])
-            belief = compared.belief
+            drawn = {sources[n]: self._draw(sources[n]) for n in joining}
+            z = {name: one[axis] for name, one in drawn.items()}
+            new = SelectionBelief.of(self.omega_rad_s, target[axis], z)
+            belief = new if belief is None else belief.and_also(new)
+            places += joining
+            draws |= drawn
             leader, _ = belief.leader(self._settings.epsilon, self._settings.delta)
             ahead = belief.loss[belief.sources.index(leader)]
             chances = screened.ahead(ahead - self._settings.epsilon)
@@ -103,54 +111,25 @@ class Comparison:
             joining = likely[: min(step, self._settings.compared_max - len(places))]
             if not joining:
                 break
-        self._forget_others(belief.sources)
-        return self._beside(compared, screened, places, ahead, leader)
-
-    def _beside(
-        self,
-        compared: Compared,
-        screened: Screened,
-        places: Sequence[int],
-        ahead: FloatArray,
-        leader: str,
-    ) -> Compared:
-        """Add to a comparison what the tones say of the sources that it leaves out.
-
-        Args:
-            compared: Comparison of some sources.
-            screened: What their tones say of all sources.
-            places: Places of those that were compared, among all.
-            ahead: Samples of the leader's loss, shape (samples,).
-            leader: Name of the source that is selected now.
-        """
-        others = np.delete(np.arange(len(screened.sources)), places)
-        surely = screened.outrun(ahead)
-        estimates = [
-            screened.estimate(n, self._robots[screened.sources[n]].tests) for n in others.tolist()
-        ]
-        closest_other = screened.loss[others].min(axis=0, initial=np.inf)
-        belief = replace(compared.belief, closest_other=closest_other)
+        # Samples take megabytes for each robot.
+        self._draws = {key: one for key, one in self._draws.items() if key[0] in draws}
+        others = np.delete(np.arange(len(sources)), places)
         open_still = int(np.sum(screened.ahead(ahead)[others] > 0.0))
         finding = (
             f"{open_still} more sources may be as close as {leader}, as far as their tones tell: "
             f"the {len(places)} that are the most likely to be were compared between their tones"
         )
-        return replace(
-            compared,
-            belief=belief,
-            findings=(*compared.findings, finding) if open_still else compared.findings,
-            outrun={
-                screened.sources[n]: screened.reason(n, leader, ahead)
-                for n in others.tolist()
-                if surely[n]
-            },
-            estimates=tuple(sorted(estimates, key=lambda one: one.psi)),
+        belief = replace(belief, closest_other=screened.loss[others].min(axis=0, initial=np.inf))
+        estimates = [screened.estimate(n, self._robots[sources[n]].tests) for n in others.tolist()]
+        outrun = others[screened.outrun(ahead)[others]].tolist()
+        return Compared(
+            belief,
+            {axis: belief},
+            draws,
+            (finding,) if open_still else (),
+            {sources[n]: screened.reason(n, leader, ahead) for n in outrun},
+            tuple(sorted(estimates, key=lambda one: one.psi)),
         )
-
-    def _forget_others(self, names: Sequence[str]) -> None:
-        """Forget samples of robots that are not compared any more, which take megabytes each."""
-        kept = {self._plan.target, *names}
-        self._draws = {key: drawn for key, drawn in self._draws.items() if key[0] in kept}
 
     def _in_full(self, sources: Sequence[str]) -> Compared:
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}

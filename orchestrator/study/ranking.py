@@ -11,7 +11,7 @@ from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.study.comparison import Compared
 from nufleet.orchestrator.study.interface import AxisEstimate, Curve, Responses, SourceEstimate
 from nufleet.orchestrator.study.measured_distance import largest_measured
-from nufleet.orchestrator.study.selection_belief import INTERVAL, SelectionBelief
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
@@ -39,10 +39,10 @@ def curves_of(belief: SelectionBelief, known: Known) -> tuple[Curve, ...]:
     """
     grid = belief.omega_rad_s
     curves = []
-    for source, psi in zip(belief.sources, belief.psi, strict=True):
+    for source, quantiles in zip(belief.sources, belief.psi_quantiles, strict=True):
         sampled = np.sort(np.concatenate([response.omega_rad_s for response in known[source]]))
         sampled = sampled[(sampled >= grid[0]) & (sampled <= grid[-1])]
-        low, median, high = np.quantile(psi, INTERVAL, axis=0)
+        low, median, high = quantiles
         marks: FloatArray = np.interp(sampled, grid, median)
         curves.append(Curve(source, grid, median, low, high, sampled, marks))
     return tuple(curves)
@@ -67,7 +67,7 @@ def ranking_of(
             psi=median,
             psi_low=low,
             psi_high=high,
-            omega_rad_s=float(belief.omega_rad_s[np.argmax(np.median(belief.psi[n], axis=0))]),
+            omega_rad_s=float(belief.omega_rad_s[np.argmax(belief.psi_quantiles[n, 1])]),
             tests=len(known[source]),
         )
         estimate = _measured(estimate, known[target], known[source])

@@ -93,6 +93,19 @@ class SelectionBelief:
             errors = PredictedErrors(spectrum.omega_rad_s, parts)
         return SelectionBelief(tuple(sources), omega_rad_s, psi, likeliest, errors)
 
+    def and_also(self, other: SelectionBelief) -> SelectionBelief:
+        """Return the belief about the sources of both, without errors on a trajectory.
+
+        Args:
+            other: Belief about other sources and the same target, from the same samples of it.
+        """
+        return SelectionBelief(
+            (*self.sources, *other.sources),
+            self.omega_rad_s,
+            np.concatenate([self.psi, other.psi]),
+            np.concatenate([self.likeliest, other.likeliest]),
+        )
+
     @cached_property
     def psi_star(self) -> FloatArray:
         """Worst-case distance ψ*_n = max ψ_n(ω) (paper, eq. 6), shape (sources, samples)."""
@@ -114,6 +127,11 @@ class SelectionBelief:
     def _lengthened(self) -> FloatArray:
         """By how much the unknown lengthens the median distance of each source, (sources,)."""
         return lengthened(self.psi_star, largest(self.omega_rad_s, self.likeliest))
+
+    @cached_property
+    def psi_quantiles(self) -> FloatArray:
+        """Quantiles `INTERVAL` of ψ_n(ω) at each frequency, shape (sources, 3, frequencies)."""
+        return np.stack([np.quantile(psi, INTERVAL, axis=0) for psi in self.psi])
 
     def interval(self, source: str) -> tuple[float, float, float]:
         """Return the bounds of a source's ψ*, and its median between them; see `bounds`."""
