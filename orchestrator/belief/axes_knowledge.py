@@ -149,6 +149,11 @@ class AxesKnowledge:
         return max(known.settling_time_s for known in self.axes.values())
 
     @property
+    def misstated(self) -> bool:
+        """Whether tests showed that it settles more slowly than it states."""
+        return any(known.misstated for known in self.axes.values())
+
+    @property
     def lowest_rad_s(self) -> float:
         """Frequency in rad/s from which on every axis was tested."""
         return max(known.lowest_rad_s for known in self.axes.values())
@@ -338,14 +343,11 @@ def _pooled(matrix: MatrixResponse, output: int) -> FloatArray:
     unit = peaks[matrix.played_by] / peaks[output]
     known = np.isfinite(row.variance)
     variance = np.full(len(unit), np.inf)
-    variance[known] = (
-        pooled_variance(
-            row.omega_rad_s[known],
-            row.variance[known] * unit[known] ** 2,
-            row.degrees_of_freedom[known],
-        )
-        / unit[known] ** 2
+    noise = row.noise_variance[known]
+    pooled = pooled_variance(
+        row.omega_rad_s[known], noise * unit[known] ** 2, row.degrees_of_freedom[known]
     )
+    variance[known] = pooled / unit[known] ** 2 + (row.variance[known] - noise)
     return variance
 
 

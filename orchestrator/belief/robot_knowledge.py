@@ -42,6 +42,9 @@ DEGREES_OF_A_VARIANCE = 2.0
 DOUBT_STAYS = 10.0
 """Factor by which a doubt that no test removes outweighs what a test of average noise tells."""
 
+WHOLE = 0.9
+"""Highest tone, as a multiple of the band's upper end, from which a test is one of all of it."""
+
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
@@ -65,6 +68,11 @@ class _Miss:
     """Its frequency in rad/s."""
 
 
+def tone_spacing(omega_rad_s: FloatArray) -> float:
+    """Return the distance between neighbouring tones in rad/s, the median of all, at least two."""
+    return float(np.median(np.diff(np.sort(omega_rad_s))))
+
+
 class RobotKnowledge:
     """The knowledge of one robot that its tests have provided."""
 
@@ -85,6 +93,7 @@ class RobotKnowledge:
         self.by_amplitude: AmplitudeDependence | None = None
         """What the amplitude does to its response, as its tests or those of others show."""
         self._tones: list[Tones] = []
+        self._hidden: list[FloatArray] = []
         self._distortions: list[Distortion] = []
         self._assumed_distortion = 0.0
         """Distortion that other robots of its kind have shown."""
@@ -116,7 +125,7 @@ class RobotKnowledge:
         omega, z = response.omega_rad_s[known], response.z[known]
         degrees = response.degrees_of_freedom[known]
         if flight is None:
-            variance = pooled_variance(omega, response.variance[known], degrees)
+            variance = pooled_variance(omega, response.noise_variance[known], degrees)
             self._noise.append(np.stack([omega, np.maximum(variance, VARIANCE_MIN) / len(omega)]))
         else:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
@@ -131,15 +140,17 @@ class RobotKnowledge:
             # What others have shown is no longer assumed, if the robot shows it itself.
             self.by_amplitude = None
             self._revise()
-        before = self.model if check and not first else None
+        # What a transient may have done must not explain what another amplitude did.
+        before = self._expected(settled=compared) if check and not first else None
         self.responses.append(response)
         self._tones.append(new)
+        self._hidden.append(response.variance[known] - response.noise_variance[known])
         self._distortions.append(distortion)
         self._revise()
         if before is None:
             return
         doubt = self._doubts[-1]
-        miss = self._miss(before, new, doubt, rng)
+        miss = self._miss(before, self._expected(settled=compared), new, doubt, rng)
         if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
         if miss is None:
@@ -156,9 +167,18 @@ class RobotKnowledge:
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
-            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
-                self.settling_time_s = finding.value or 0.0
-                self._revise()
+            if finding.code == "ringing":
+                self.expect_settling(finding.value or 0.0)
+
+    def expect_settling(self, settling_time_s: float) -> None:
+        """Believe that the robot settles more slowly than was known.
+
+        Args:
+            settling_time_s: Time in s; one that is shorter than what is known says nothing.
+        """
+        if settling_time_s > self.settling_time_s:
+            self.settling_time_s = settling_time_s
+            self._revise()
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -229,14 +249,19 @@ class RobotKnowledge:
     @property
     def findings(self) -> tuple[str, ...]:
         """What the tests showed that weakens what is believed of the robot, in words."""
-        stated, found = self.spec.settling_time_s, self.settling_time_s
-        if found <= SETTLING_RATIO_MAX * stated:
+        if not self.misstated:
             return self._found
+        stated, found = self.spec.settling_time_s, self.settling_time_s
         misstated = (
             f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
             f"be {found:.3g} s: later tests wait as long; correct what its driver states"
         )
         return (misstated, *self._found)
+
+    @property
+    def misstated(self) -> bool:
+        """Whether it settles more slowly than it states."""
+        return self.settling_time_s > SETTLING_RATIO_MAX * self.spec.settling_time_s
 
     @property
     def prior(self) -> ResponsePrior:
@@ -248,6 +273,17 @@ class RobotKnowledge:
     def lowest_rad_s(self) -> float:
         """Lowest tested frequency in rad/s; infinite before the first test."""
         return min((float(t.omega_rad_s.min()) for t in self._tones), default=math.inf)
+
+    @property
+    def spacing_rad_s(self) -> float:
+        """Least distance in rad/s between the tones of a test of the whole band, infinite before
+        the first one."""
+        whole = [
+            tone_spacing(t.omega_rad_s)
+            for t in self._tones
+            if len(t.z) > 1 and t.omega_rad_s.max() >= WHOLE * self._omega_max_rad_s
+        ]
+        return min(whole, default=math.inf)
 
     @property
     def amplitude(self) -> float | None:
@@ -265,7 +301,8 @@ class RobotKnowledge:
 
     def forget(self) -> None:
         """Forget all tests."""
-        self.responses, self._tones, self._noise, self._distortions = [], [], [], []
+        self.responses, self._tones, self._noise = [], [], []
+        self._hidden, self._distortions = [], []
         self._revise()
 
     @property
@@ -317,7 +354,14 @@ class RobotKnowledge:
 
     @property
     def tones(self) -> Tones:
-        """Estimates of all tests and flights, with what is doubted of them in their variances."""
+        """Estimates of all tests and flights, with what is doubted of them in their variances, and
+        what transients that their tones may hide add."""
+        tones = self._doubted
+        return Tones(tones.omega_rad_s, tones.z, tones.variance + np.concatenate(self._hidden))
+
+    @property
+    def _doubted(self) -> Tones:
+        """The same without what hidden transients add."""
         doubted = zip(self._tones, self._doubts, strict=True)
         return Tones(
             self.omega_rad_s,
@@ -329,13 +373,21 @@ class RobotKnowledge:
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            # A doubt is the same in every test, so that their number must not average it away.
-            played = zip(self._tones, self._doubts, self.responses, strict=True)
-            common = CommonError.of_tests(
-                [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
-            )
-            self._model = ResponseModel(self.tones, self.prior, common=common)
+            self._model = self._fitted(self.tones)
         return self._model
+
+    def _fitted(self, tones: Tones) -> ResponseModel:
+        # A doubt is the same in every test, so that their number must not average it away.
+        played = zip(self._tones, self._doubts, self.responses, strict=True)
+        common = CommonError.of_tests(
+            [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
+        )
+        return ResponseModel(tones, self.prior, common=common)
+
+    def _expected(self, *, settled: bool) -> ResponseModel:
+        """Return the belief; if `settled`, as if no tone had hidden a transient."""
+        hidden = any(one.any() for one in self._hidden)
+        return self._fitted(self._doubted) if settled and hidden else self.model
 
     def forget_model(self) -> None:
         """Forget the fitted belief, which takes several megabytes, until it is asked for again."""
@@ -380,7 +432,12 @@ class RobotKnowledge:
         return np.asarray(DOUBT_STAYS * (1 + len(self._tones)) * doubt)
 
     def _miss(
-        self, before: ResponseModel, new: Tones, doubt: FloatArray, rng: np.random.Generator
+        self,
+        before: ResponseModel,
+        after: ResponseModel,
+        new: Tones,
+        doubt: FloatArray,
+        rng: np.random.Generator,
     ) -> _Miss | None:
         """Return how far a new test misses what the earlier ones predict; None if it does not.
 
@@ -388,7 +445,7 @@ class RobotKnowledge:
         belief with the new one as well says how large it is; its distribution is χ² with one degree
         of freedom for each real and imaginary part.
         """
-        if before.distance(self.model) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
+        if before.distance(after) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
             return None
         expected = before.draw_fitted(new.omega_rad_s, CHECK_SAMPLES, rng)
         squared = np.abs(new.z - expected.mean(axis=0)) ** 2

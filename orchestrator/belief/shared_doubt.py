@@ -12,9 +12,10 @@ from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 def share_doubt(robots: Collection[RobotKnowledge]) -> None:
     """Extend what is doubted of some robots to the others.
 
-    Where the flights of one are no tests, those of the others are not, either; and what the
-    amplitude does to some of a kind, it may do to all of it, as some of a kind that are not linear
-    show what noise may hide in the tests of the others.
+    Where the flights of one are no tests, those of the others are not, either; where one of a kind
+    settles more slowly than it states, others that state the same may, too; and what the amplitude
+    does to some of a kind, it may do to all of it, as some of a kind that are not linear show what
+    noise may hide in the tests of the others.
 
     Args:
         robots: What is known of every robot of a fleet, at least one.
@@ -31,4 +32,7 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
     }
     for robot in robots:
         robot.doubt_flights(doubt)
+        stated_s = robot.spec.settling_time_s
+        alike_too = [one for one in alike[robot.spec.kind] if one.spec.settling_time_s == stated_s]
+        robot.expect_settling(max(one.settling_time_s for one in alike_too))
         robot.assume(*shown[robot.spec.kind])

@@ -27,6 +27,7 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.experience.layout import Architecture
@@ -178,9 +179,18 @@ def response_row(response: FrequencyResponse) -> dict[str, Any]:
         "segments": response.segments,
         "quality": response.quality.model_dump_json(),
         "usable": response.quality.usable,
-        "degrees": None if response.degrees is None else pack_array(response.degrees),
+        "degrees": _packed(response.degrees),
         "amplitude": response.amplitude,
+        "hidden_variance": _packed(response.hidden_variance),
     }
+
+
+def _packed(values: FloatArray | None) -> bytes | None:
+    return None if values is None else pack_array(values)
+
+
+def _unpacked(packed: bytes | None, shape: tuple[int, ...], what: str) -> FloatArray | None:
+    return None if packed is None else unpack_floats(packed, shape, what)
 
 
 class _MatrixAxis(Strict):
@@ -221,6 +231,7 @@ def matrix_row(matrix: MatrixResponse) -> dict[str, Any]:
         "all_variances": pack_array(np.stack([row.variance for row in rows])),
         "all_degrees": pack_array(np.stack([row.degrees_of_freedom for row in rows])),
         "correlation": pack_array(matrix.correlation),
+        "all_hidden_variances": _packed(matrix.hidden_variances),
     }
 
 
@@ -235,6 +246,7 @@ def _matrix_response(row: RowMapping, what: str) -> MatrixResponse | None:
     z = unpack_complex(row["all_z"], shape, what)
     variances = unpack_floats(row["all_variances"], shape, what)
     degrees = unpack_floats(row["all_degrees"], shape, what)
+    hidden = _unpacked(row["all_hidden_variances"], shape, what)
     return MatrixResponse(
         axes=tuple(axis.axis for axis in axes),
         played_by=np.repeat(np.arange(len(axes)), [axis.tones for axis in axes]),
@@ -247,6 +259,7 @@ def _matrix_response(row: RowMapping, what: str) -> MatrixResponse | None:
                 quality=axis.quality,
                 degrees=degrees[place],
                 amplitude=axis.amplitude,
+                hidden_variance=None if hidden is None else hidden[place],
                 axis=axis.axis,
             )
             for place, axis in enumerate(axes)
@@ -258,7 +271,6 @@ def _matrix_response(row: RowMapping, what: str) -> MatrixResponse | None:
 def frequency_response(row: RowMapping) -> FrequencyResponse:
     """Return the response in a row, bit for bit as it was stored."""
     what, shape = f"the response of goal {row['goal_id']}", (int(row["tones"]),)
-    degrees = row["degrees"]
     with checked(what):
         return FrequencyResponse(
             omega_rad_s=unpack_floats(row["omega_rad_s"], shape, what),
@@ -266,8 +278,9 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
             variance=unpack_floats(row["variance"], shape, what),
             segments=row["segments"],
             quality=Quality.model_validate_json(row["quality"]),
-            degrees=None if degrees is None else unpack_floats(degrees, shape, what),
+            degrees=_unpacked(row["degrees"], shape, what),
             amplitude=row["amplitude"],
+            hidden_variance=_unpacked(row["hidden_variance"], shape, what),
             matrix=_matrix_response(row, what),
             axis=row["axis"],
         )

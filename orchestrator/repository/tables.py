@@ -50,7 +50,7 @@ def utc_now() -> datetime:
     return datetime.now(UTC).replace(tzinfo=None)
 
 
-REVISION = "0006"
+REVISION = "0007"
 """Revision of the newest migration, which arrives at the tables below."""
 
 METADATA = MetaData(
@@ -127,6 +127,7 @@ def _response_columns() -> tuple[SchemaItem, ...]:
         Column("measured_at", DateTime, nullable=False),
         Column("degrees", LargeBinary),
         Column("amplitude", Double),
+        Column("hidden_variance", LargeBinary),
         ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
         Index(None, "fleet", "robot", "axis"),
     )
@@ -150,6 +151,7 @@ MATRICES = Table(
     Column("all_variances", LargeBinary, nullable=False),
     Column("all_degrees", LargeBinary, nullable=False),
     Column("correlation", LargeBinary, nullable=False),
+    Column("all_hidden_variances", LargeBinary),
 )
 """Every entry of the response of a test of several axes, whose first axis is in `responses`."""
 

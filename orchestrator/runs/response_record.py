@@ -39,6 +39,9 @@ class ResponseRecord(Strict):
     """Variance E|ẑ − z|² at each tone."""
     degrees: tuple[Positive, ...]
     """Degrees of freedom of each variance."""
+    hidden_variance: tuple[NonNegative, ...] | None = None
+    """Part of each variance that is due to a transient which the tones may hide; None if nothing is
+    known of it."""
     segments: Annotated[int, Field(ge=3)]
     """Number of measuring segments."""
     amplitude: Positive | None
@@ -64,6 +67,11 @@ class ResponseRecord(Strict):
         }
         return ResponseRecord(
             **{name: tuple(column[known].tolist()) for name, column in columns.items()},
+            hidden_variance=(
+                None
+                if response.hidden_variance is None
+                else tuple(response.hidden_variance[known].tolist())
+            ),
             segments=response.segments,
             amplitude=response.amplitude,
             quality=response.quality,
@@ -84,6 +92,9 @@ class ResponseRecord(Strict):
             segments=self.segments,
             quality=self.quality,
             degrees=np.array(self.degrees),
+            hidden_variance=(
+                None if self.hidden_variance is None else np.array(self.hidden_variance)
+            ),
             amplitude=self.amplitude,
             flight=None
             if self.flight is None

@@ -215,34 +215,38 @@ class AdaptiveStudy:
     def _looked(
         self, compared: Compared, leader: str, confidence: float, hopeless: Mapping[str, str]
     ) -> _Verdict:
-        """Decide what is needed before a claim: lowest looks, and a narrow interval of ψ*.
+        """Decide what a claim needs: lowest and finer looks, and a narrow interval of ψ*.
 
-        Target and leader need the lowest look, a rival only if what was seen of it leaves open that
-        it is the best.
+        Target and leader need them, a rival only if what was seen of it leaves open that it is the
+        best.
         """
         belief, sure, doubtful = compared.belief, 1 - self._settings.delta, self._doubtful
         rounds_left = self._asked < self._plan.iterations
         unseen = {n: self._robots[n].lowest_rad_s for n in belief.sources if self._unseen(n)}
         surely, ahead = belief.beaten(leader, self._settings.epsilon, unseen)
-        contenders = [self._plan.target, leader]
-        looks = self._looks.due(name for name in contenders if name not in self._grounded)
+        share = self._settings.delta / len(belief.sources)
+        rivals = [source for source, chance in ahead.items() if chance > share]
+        contenders = [name for name in (self._plan.target, leader) if name not in self._grounded]
+        there = [name for name in rivals if name not in self._grounded]
+        looks = self._looks.due(contenders)
         if not looks and surely < sure:
-            share = self._settings.delta / len(belief.sources)
-            contenders = [source for source, chance in ahead.items() if chance > share]
-            looks = self._looks.due(name for name in contenders if name not in self._grounded)
-        if looks and rounds_left:
+            looks = self._looks.due(there)
+        if looks:
             lowest_rad_s = max(self._robots[name].lowest_rad_s for name in looks)
             why = f"nothing is claimed unseen below {lowest_rad_s:.3g} rad/s"
+            lacking = "the lower end of the band was not tested"
+        else:
+            looks = self._looks.finer((*contenders, *there))
+            why = "resonances as narrow as settling was found to be slow"
+            lacking = "resonances as narrow as settling is slow were not looked for"
+        if looks and rounds_left:
             return _Verdict(doubtful, looks, why)
         if looks:
-            why = (
-                f"all {self._asked} rounds have been used, and the lower end of the band was not "
-                f"tested on {', '.join(looks)}"
-            )
+            why = f"all {self._asked} rounds have been used, and {lacking} on {', '.join(looks)}"
             return _Verdict(doubtful, why=why)
         confidence = min(confidence, surely)
         if confidence < sure:
-            why = f"the lower end of the band was not tested on {', '.join(contenders)}"
+            why = f"the lower end of the band was not tested on {', '.join(rivals)}"
             return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
         low, _, high = belief.interval(leader)

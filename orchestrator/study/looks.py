@@ -1,8 +1,9 @@
-"""The tests that a robot may play: a first look, looks at what is contested, and the lowest look.
+"""The tests that a robot may play: first looks, looks at what is contested, lowest and finer looks.
 
 Before anything is claimed, each contender has played a test that reaches down to the lower end of
 the band, at another amplitude than its first: what differs below its lowest tone, or at another
-amplitude, would otherwise be claimed unseen.
+amplitude, would otherwise be claimed unseen. One that settles more slowly than it states, as tests
+of it or of its kind showed, also plays the first look that it would have played.
 
 Axes that may move together share the tones of a test, dealt to them in turn. Up to three of them
 reach down to the lower end of the band in the same lowest look.
@@ -18,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
-from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge, tone_spacing
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.tone_choice import (
@@ -41,6 +42,9 @@ NOISY = 0.05
 REACHED = 1.25
 """A lowest look is due once the lowest tone played exceeds that of the lowest look by this
 factor."""
+
+FINER = 1.5
+"""A test is repeated for resonances between its tones if these are as many times further apart."""
 
 CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
@@ -123,6 +127,25 @@ class Looks:
                 if name not in found and lacking:
                     found[name] = self.lowest(name, first, lacking)
         return found
+
+    def finer(self, names: Iterable[str]) -> dict[str, ToneChoice]:
+        """Return the first tests as they would have been, had robots not misstated their settling.
+
+        A resonance as narrow as its transient is slow may lie unseen between the tones played.
+        """
+        return {name: look for name in names for look in self._finer(name)}
+
+    def _finer(self, name: str) -> Iterator[ToneChoice]:
+        robot, settings = self._robots[name], self._settings
+        if not robot.misstated:
+            return
+        slow = robot.spec.model_copy(update={"settling_time_s": robot.settling_time_s})
+        for first in self._firsts[name]:
+            periods, share = settings.first_periods, settings.share_of_settling
+            look = first_look(self._plan.band_rad_s, slow, periods, share, first.axes)
+            wanted = {axis: FINER * tone_spacing(look.omegas_of(axis)) for axis in look.axes}
+            if any(self._known(name, axis).spacing_rad_s > most for axis, most in wanted.items()):
+                yield look
 
     def lowest(
         self, name: str, first: ToneChoice, lacking: Sequence[int] | None = None

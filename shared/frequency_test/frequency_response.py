@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.hidden_transient import (
+    HiddenTransient,
+    hidden_transient,
+    may_ring,
+)
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse, error_correlation
 from nufleet.shared.frequency_test.quality import (
     BoolArray,
@@ -82,6 +87,9 @@ class FrequencyResponse:
     """Peak of the reference in the axis's unit; None if unknown."""
     flight: Flight | None = None
     """The flight that measured it; None for a test."""
+    hidden_variance: FloatArray | None = None
+    """Part of each variance that is due to a transient which the tones may hide, shape (tones,);
+    None if nothing is known of it."""
     matrix: MatrixResponse | None = None
     """All entries of a test of several axes, of which this is the first axis's own; None for a test
     of one axis."""
@@ -103,6 +111,13 @@ class FrequencyResponse:
             return self.degrees
         return np.full(len(self.omega_rad_s), 2.0 * (self.segments - 1))
 
+    @property
+    def noise_variance(self) -> FloatArray:
+        """Variance of each estimate without what a hidden transient adds to it, shape (tones,)."""
+        return (
+            self.variance if self.hidden_variance is None else self.variance - self.hidden_variance
+        )
+
     def delayed(self, std_s: float) -> FrequencyResponse:
         """Return the response with a variance that includes an unknown delay of the output.
 
@@ -123,6 +138,36 @@ class FrequencyResponse:
         if matrix is not None:
             matrix = replace(matrix, rows=tuple(turned(row) for row in matrix.rows))
         return replace(turned(self), matrix=matrix)
+
+    def times(self, factor: FloatArray) -> FrequencyResponse:
+        """Return the response in another unit.
+
+        Args:
+            factor: What one old unit is in new ones at each tone, shape (tones,).
+        """
+        hidden = self.hidden_variance
+        return replace(
+            self,
+            z=self.z * factor,
+            variance=self.variance * factor**2,
+            hidden_variance=None if hidden is None else hidden * factor**2,
+        )
+
+    def at(self, tones: BoolArray) -> FrequencyResponse:
+        """Return the response at some tones.
+
+        Args:
+            tones: True at these, shape (tones,).
+        """
+        degrees, hidden = self.degrees, self.hidden_variance
+        return replace(
+            self,
+            omega_rad_s=self.omega_rad_s[tones],
+            z=self.z[tones],
+            variance=self.variance[tones],
+            degrees=None if degrees is None else degrees[tones],
+            hidden_variance=None if hidden is None else hidden[tones],
+        )
 
     def radius(self, alpha: float = 0.05) -> FloatArray:
         """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α.
@@ -261,22 +306,25 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
         start, transient = settle_samples, None
         if ringing.lasting.any():
             # A transient is known best where it is largest, so that all of it is fitted.
-            start = len(one.y) % plan.segments
-            transient = ringing.columns(len(one.y), step_s)[start:]
+            start, transient = len(one.y) % plan.segments, ringing.columns(len(one.y), step_s)
+        hidden = hidden_transient(one.y, every_omega, tones, step_s, start, transient)
         samples = one[start:]
         try:
             input_fit, output_fit = fit_sinusoids(
-                [samples.u, samples.y], every_omega, step_s, plan.segments, transient
+                [samples.u, samples.y],
+                every_omega,
+                step_s,
+                plan.segments,
+                None if transient is None else transient[start:],
             )
         except UnresolvableError as error:
             return asked.failed("unresolvable", str(error))
         if np.min(np.abs(input_fit.phasors[:tones])) < REFERENCE_TONE_MIN:
             return asked.failed("no-reference", "a tone is missing from the reference")
         own = asked.played_by == axis
-        row = _row(samples, ringing, input_fit, output_fit, own, settle_samples, asked)
+        row = _row(samples, ringing, hidden, input_fit, output_fit, own, settle_samples, asked)
         # z was relative to a reference that counts in the unit of this output.
-        unit = asked.scale[axis] / asked.scale[asked.played_by]
-        rows.append(replace(row, z=row.z * unit, variance=row.variance * unit**2))
+        rows.append(row.times(asked.scale[axis] / asked.scale[asked.played_by]))
         left.append((samples.y - output_fit.fitted)[settle_samples - start :])
     return asked.matrix(rows, error_correlation(np.array(left), float(omegas.max()), step_s))
 
@@ -284,6 +332,7 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
 def _row(
     samples: Samples,
     ringing: RingDown,
+    hidden: HiddenTransient | None,
     input_fit: SinusoidFit,
     output_fit: SinusoidFit,
     own: BoolArray,
@@ -317,15 +366,20 @@ def _row(
     degrees = output_fit.scatter_degrees[:tones]
     estimates = Estimates(gain * segment_z, variance, degrees)
     findings = findings_of(tested, samples, ringing, input_fit, output_fit, estimates, own, plan)
-    findings.append(still_ringing(ringing, settle_samples * step_s))
+    settle_s = settle_samples * step_s
+    findings.append(still_ringing(ringing, settle_s) or may_ring(hidden, settle_s))
+    hidden_variance = None
+    if hidden is not None:
+        hidden_variance = hidden.variance * (gain / np.abs(input_tones)) ** 2
     played = plan.played[int(asked.played_by[own][0])]
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
-        variance=variance,
+        variance=variance if hidden_variance is None else variance + hidden_variance,
         segments=plan.segments,
         quality=verdict([*findings, *(suspicion.finding for suspicion in suspected)]),
         degrees=degrees,
         amplitude=played.amplitude,
+        hidden_variance=hidden_variance,
         axis=played.axis,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,14 +33,17 @@ class MatrixResponse:
 
     def entry(self, output: int, reference: int) -> FrequencyResponse:
         """Return z_ij at the tones of axis j, by the places of both axes."""
-        row, tones = self.rows[output], self.played_by == reference
-        return replace(
-            row,
-            omega_rad_s=row.omega_rad_s[tones],
-            z=row.z[tones],
-            variance=row.variance[tones],
-            degrees=None if row.degrees is None else row.degrees[tones],
-        )
+        return self.rows[output].at(self.played_by == reference)
+
+    @property
+    def hidden_variances(self) -> FloatArray | None:
+        """Part of the variances that is due to transients which the tones may hide, shape (axes,
+        tones); None if nothing is known of any."""
+        parts = [row.hidden_variance for row in self.rows]
+        if all(part is None for part in parts):
+            return None
+        tones = len(self.played_by)
+        return np.stack([np.zeros(tones) if part is None else part for part in parts])
 
     @property
     def covariance(self) -> ComplexArray:

@@ -111,7 +111,7 @@ class RingDown:
     def columns(self, samples: int, sample_time_s: float) -> FloatArray:
         """Return what the transient may consist of, from the ramp on, shape (samples, columns)."""
         times_s = sample_time_s * np.arange(samples, dtype=np.float64)
-        columns = _decaying(times_s, self.decay_1_s, self.omega_rad_s)
+        columns = decaying(times_s, self.decay_1_s, self.omega_rad_s)
         # A slightly different σ and ν change a part by multiples of these, times t.
         late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
         both = np.concatenate([columns, late / times_s[-1]], axis=1)
@@ -132,13 +132,24 @@ def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
     if not found.lasting.any():
         return None
     slowest = int(np.argmax(found.lasting))
-    settling_s = DECAYS_UNTIL_SETTLED / float(found.decay_1_s[slowest])
+    return ringing(float(found.decay_1_s[slowest]), float(found.omega_rad_s[slowest]), settle_s)
+
+
+def ringing(decay_1_s: float, omega_rad_s: float, settle_s: float) -> Finding | None:
+    """Return the finding that a part of a transient lasted longer than a test waited, if it did.
+
+    Args:
+        decay_1_s: Its decay rate σ.
+        omega_rad_s: Its frequency ν.
+        settle_s: Time that the test waited, after the ramp.
+    """
+    settling_s = DECAYS_UNTIL_SETTLED / decay_1_s
     if settling_s <= settle_s:
         return None
     return Finding(
         code="ringing",
-        text=f"it needs {settling_s:.3g} s to settle to 5 %, at "
-        f"{found.omega_rad_s[slowest]:.3g} rad/s, and the test waited {settle_s:.3g} s",
+        text=f"it needs {settling_s:.3g} s to settle to 5 %, at {omega_rad_s:.3g} rad/s, and the "
+        f"test waited {settle_s:.3g} s",
         value=settling_s,
     )
 
@@ -195,7 +206,7 @@ def ring_down(
             break
         decay, omega = _refined(left, basis, times_s, start)
         found.append((decay, omega))
-        part = _decaying(times_s, np.array([decay]), np.array([omega]))
+        part = decaying(times_s, np.array([decay]), np.array([omega]))
         part = part[:, : 2 if omega else 1]
         part -= basis @ (basis.T @ part)
         basis = np.concatenate([basis, np.linalg.qr(part)[0]], axis=1)
@@ -210,7 +221,7 @@ def ring_down(
         return replace(nothing, unexplained=_deviation(steady_left[:first]) if first else 0.0)
     # Slowest first, and only what is left of them that would disturb the estimates.
     parts = np.array(sorted(found))
-    columns = _decaying(times_s, parts[:, 0], parts[:, 1])
+    columns = decaying(times_s, parts[:, 0], parts[:, 1])
     free, moved = (one - steady @ (steady.T @ one) for one in (columns, y))
     weights = np.linalg.lstsq(free, moved, rcond=1e-9)[0]
     late = np.mean((columns * weights)[first:] ** 2, axis=0).reshape(2, -1).sum(axis=0)
@@ -269,7 +280,14 @@ class _Record:
 _kept_record = lru_cache(RECORDS_KEPT)(_Record.of)
 
 
-def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
+def decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
+    """Return Re e^{(−σ + jν)t} and Im of it for each part, shape (times, 2 parts).
+
+    Args:
+        times_s: Times in s from 0 on, evenly spaced, shape (times,).
+        decay_1_s: Decay rates σ, shape (parts,).
+        omega_rad_s: Frequencies ν, shape (parts,).
+    """
     step_s = times_s[1]
     ringing = exponentials(step_s * omega_rad_s, len(times_s), decay=step_s * decay_1_s)
     return np.concatenate([ringing.real, ringing.imag], axis=1)
@@ -305,7 +323,7 @@ def _most(
     best, start = HALF * float(left @ left), None
     for decay in np.geomspace(0.5 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS):
         omega = np.arange(0.0, top_rad_s, max(decay, np.pi / times_s[-1])) + REAL * decay
-        part = _decaying(times_s, np.full(len(omega), decay), omega)
+        part = decaying(times_s, np.full(len(omega), decay), omega)
         part = (part - basis @ (basis.T @ part)).reshape(len(times_s), 2, -1)
         (a, b), c = np.sum(part**2, axis=0), np.sum(part[:, 0] * part[:, 1], axis=0)
         u, v = np.tensordot(left, part, 1)

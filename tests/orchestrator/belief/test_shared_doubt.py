@@ -30,3 +30,21 @@ def test_a_noisy_test_of_one_robot_may_hide_the_distortion_that_others_of_its_ki
     assert alike.doubted
     assert not other.doubted
     assert alike.findings == ()
+
+
+def test_what_one_robot_misstates_of_its_settling_is_no_better_from_others_that_state_it_too() -> (
+    None
+):
+    rng = np.random.default_rng(0)
+    finding = Finding(code="ringing", text="it needs 90 s to settle to 5 %", value=90.0)
+    slow, same, differs = (RobotKnowledge(name, SPEC, BAND[1]) for name in ("r1", "r2", "r3"))
+    differs.spec = SPEC.model_copy(update={"settling_time_s": 2 * SPEC.settling_time_s})
+    differs.settling_time_s = differs.spec.settling_time_s
+    slow.learn(replace(one_test(LOOP, rng), quality=Quality(warnings=(finding,))), rng)
+    share_doubt([slow, same, differs])
+    assert [one.settling_time_s for one in (slow, same)] == [90.0, 90.0]
+    assert slow.misstated
+    assert same.misstated
+    assert not differs.misstated
+    (told,) = same.findings
+    assert "correct what its driver states" in told

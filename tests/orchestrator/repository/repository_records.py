@@ -93,4 +93,6 @@ def identical(a: FrequencyResponse, b: FrequencyResponse) -> bool:
     bits = all(x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in arrays)
     same_degrees = a.degrees_of_freedom.tobytes() == b.degrees_of_freedom.tobytes()
     facts = [(r.segments, r.quality, r.amplitude, r.degrees is None) for r in (a, b)]
+    hidden = [None if r.hidden_variance is None else r.hidden_variance.tobytes() for r in (a, b)]
+    bits = bits and hidden[0] == hidden[1]
     return bits and same_degrees and facts[0] == facts[1]

@@ -39,7 +39,7 @@ from alembic import op
 import sqlalchemy as sa
 
 revision = "newer"
-down_revision = "0006"
+down_revision = "0007"
 
 
 def upgrade():
@@ -96,7 +96,7 @@ def test_an_older_schema_is_brought_up_to_date_with_what_it_holds(
 
 def test_an_unknown_newer_schema_is_refused_with_both_versions(address: str, newer: Path) -> None:
     open_repository(address, migrations=newer).close()
-    with pytest.raises(SchemaVersionError, match=r"newer.*0006.*install"):
+    with pytest.raises(SchemaVersionError, match=r"newer.*0007.*install"):
         open_repository(address)
 
 

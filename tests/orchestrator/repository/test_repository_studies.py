@@ -130,7 +130,14 @@ def test_an_intent_is_there_before_anything_is_sent(begun: Repository, address: 
         assert other.studies.trials("run-1") == (TrialRecord(intent(), TrialStatus.INTENDED),)
 
 
-@pytest.mark.parametrize("known", [{}, {"degrees": np.array([3.9, 6.0]), "amplitude": 0.1}])
+@pytest.mark.parametrize(
+    "known",
+    [
+        {},
+        {"degrees": np.array([3.9, 6.0]), "amplitude": 0.1},
+        {"hidden_variance": np.array([1e-4, 0.0])},
+    ],
+)
 def test_a_measured_trial_comes_back_bit_for_bit(
     begun: Repository, address: str, known: dict[str, Any]
 ) -> None:
@@ -166,7 +173,16 @@ def test_a_test_of_several_axes_comes_back_with_every_entry_and_both_columns(
             "also": (PlannedTones(axis="y", tones=(Tone(omega_rad_s=1.0),), amplitude=0.2),),
         }
     )
-    rows = (response(), replace(response(UNUSABLE), degrees=np.array([3.0, 6.0]), amplitude=0.2))
+    hidden = np.zeros(2), np.array([0.01, 0.0])
+    rows = (
+        replace(response(), hidden_variance=hidden[0]),
+        replace(
+            response(UNUSABLE),
+            degrees=np.array([3.0, 6.0]),
+            amplitude=0.2,
+            hidden_variance=hidden[1],
+        ),
+    )
     correlation = np.array([[1.0, 0.1 - 0.2j], [0.1 + 0.2j, 1.0]])
     matrix = MatrixResponse(("x", "y"), np.array([0, 1]), rows, correlation)
     measured = replace(matrix.entry(0, 0), matrix=matrix)

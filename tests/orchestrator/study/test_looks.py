@@ -157,3 +157,19 @@ def test_each_axis_plays_three_tones_at_first_and_later_down_to_the_lower_end(ax
         assert one.omega_rad_s[0] >= 0.2
         assert all(len(one.omegas_of(place)) >= 1 for place in range(axes))
         assert len(one.harmonics) >= 1.5 * axes
+
+
+def test_a_robot_that_misstated_its_settling_plays_the_first_test_that_it_would_have_played() -> (
+    None
+):
+    looks, known = looks_of(SPEC)
+    rng, robot = np.random.default_rng(0), Loop(3.0)
+    known.learn(robot.answer(looks.first["robot"].excitation("x"), 0.01, rng), rng)
+    assert looks.finer(["robot"]) == {}
+    measured_s = 10 * SPEC.settling_time_s
+    known.axes["x"].expect_settling(measured_s)
+    look = looks.finer(["robot"])["robot"]
+    told, _ = looks_of(SPEC.model_copy(update={"settling_time_s": measured_s}))
+    assert look == told.first["robot"]
+    known.learn(robot.answer(look.excitation("x"), 0.01, rng), rng)
+    assert looks.finer(["robot"]) == {}

@@ -152,7 +152,7 @@ def test_the_variance_is_the_mean_square_of_the_error() -> None:
         noisy.connect()
         measured = estimate_frequency_response(reference, noisy.run(reference[:, None])[:, 0], plan)
         errors.append(abs(measured.z[0] - z[0]) ** 2)
-        variances.append(measured.variance[0])
+        variances.append(measured.noise_variance[0])
     assert np.mean(variances) == pytest.approx(np.mean(errors), rel=0.15)
 
 

@@ -1,0 +1,118 @@
+"""What outlasts a test, and looks like one of its tones, makes that tone uncertain."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.hidden_transient import (
+    EXPECTED,
+    SIZE,
+    _Grid,
+    hidden_transient,
+    may_ring,
+)
+from nufleet.shared.frequency_test.sinusoid_fit import fit_sinusoids
+from tests.shared.frequency_test.test_ring_down import HARMONICS, STEP_S, Resonant, played
+
+OMEGA = 0.5 * np.array(HARMONICS)
+SAMPLES, SETTLE = 780, 150
+NOISE = 0.01
+
+
+class Shaken(Resonant):
+    """A well-damped loop that also shakes something, which takes minutes to come to rest."""
+
+    def __init__(self, omega_rad_s: float, damping: float, height: float) -> None:
+        super().__init__(3.0, 0.7)
+        self._slow = Resonant(omega_rad_s, damping)
+        self._share = 2 * damping * height
+
+    def play(self, reference: FloatArray) -> FloatArray:
+        return super().play(reference) + self._share * self._slow.play(reference)
+
+    def z(self, omega_rad_s: FloatArray) -> FloatArray:
+        return super().z(omega_rad_s) + self._share * self._slow.z(omega_rad_s)
+
+
+def tones(rng: np.random.Generator) -> FloatArray:
+    phases = rng.uniform(0, 2 * np.pi, len(OMEGA))
+    return np.cos(np.outer(STEP_S * np.arange(SAMPLES), OMEGA) + phases).sum(axis=1)
+
+
+def test_a_slow_resonance_below_the_tones_makes_the_lowest_of_them_uncertain() -> None:
+    rng = np.random.default_rng(1)
+    off, stated, without = [], [], []
+    for seed in range(60):
+        robot = Shaken(rng.uniform(0.3, 0.5), rng.uniform(0.05, 0.15), rng.uniform(0.2, 0.5))
+        # As if it settled within two seconds.
+        measured = played(robot, 2.0, 0.003, seed)
+        off.append(abs(measured.z - robot.z(measured.omega_rad_s))[0])
+        stated.append(np.sqrt(measured.variance[0]))
+        without.append(np.sqrt(measured.noise_variance[0]))
+    far = 2.5
+    assert np.mean(np.array(off) > far * np.array(without)) > 0.8
+    assert np.mean(np.array(off) > far * np.array(stated)) < 0.4
+    assert np.sqrt(np.mean(np.square(stated))) > 0.5 * np.sqrt(np.mean(np.square(off)))
+
+
+def test_the_variance_is_the_mean_square_by_which_transients_as_expected_move_the_tones() -> None:
+    rng = np.random.default_rng(2)
+    block = 3
+    step_s = block * STEP_S
+    grid = _Grid.of(tuple(OMEGA.tolist()), len(OMEGA), step_s, SAMPLES // block, SETTLE // block)
+    times_s = STEP_S * np.arange(SAMPLES)
+    off, stated = [], []
+    for _ in range(400):
+        steady = tones(rng)
+        part = rng.choice(len(grid.log_prior), p=np.exp(grid.log_prior))
+        turning = np.exp((1j * grid.omega_rad_s[part] - grid.decay_1_s[part]) * times_s)
+        size = SIZE * float(np.std(steady)) * (rng.random() < EXPECTED)
+        drawn = size * rng.standard_normal(2)
+        output = steady + drawn[0] * turning.real + drawn[1] * turning.imag
+        noisy = output + NOISE * rng.standard_normal(SAMPLES)
+        found = hidden_transient(noisy, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        assert found is not None
+        fits = fit_sinusoids([steady[SETTLE:], noisy[SETTLE:]], OMEGA, STEP_S, 3)
+        off.append(np.abs(fits[1].phasors - fits[0].phasors) ** 2)
+        stated.append(found.variance + 4 * NOISE**2 / (SAMPLES - SETTLE))
+    ratio = np.mean(stated, axis=0) / np.mean(off, axis=0)
+    # A few large transients dominate both means.
+    assert np.all((ratio > 0.6) & (ratio < 1.7)), ratio
+
+
+def test_noise_of_a_settled_robot_says_that_hardly_anything_rings() -> None:
+    rng = np.random.default_rng(3)
+    found = [
+        hidden_transient(
+            tones(rng) + NOISE * rng.standard_normal(SAMPLES), OMEGA, len(OMEGA), STEP_S, SETTLE
+        )
+        for _ in range(60)
+    ]
+    assert all(one is not None and one.probability < 0.5 for one in found)
+    assert all(may_ring(one, 3.0) is None for one in found)
+
+
+def test_gusts_are_no_transient() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        blown = lfilter([1.0], [1.0, -0.98], rng.standard_normal(SAMPLES + 500))[500:]
+        output = tones(rng) + 0.3 * blown / float(np.std(blown))
+        output += NOISE * rng.standard_normal(SAMPLES)
+        assert hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE) is None
+
+
+def test_a_transient_that_outlasts_the_test_is_a_finding_with_its_settling_time() -> None:
+    rng = np.random.default_rng(5)
+    times_s = STEP_S * np.arange(SAMPLES)
+    for decay in (0.03, 0.06, 0.12):
+        settling_s = []
+        for _ in range(20):
+            ringing = 0.5 * np.exp(-decay * times_s) * np.cos(0.3 * times_s + rng.uniform(0, 6))
+            output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
+            found = may_ring(hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE), 3.0)
+            assert found is not None
+            settling_s.append(found.value)
+        # What is slower than the record is long is told to a factor.
+        assert 1 / 3 < float(np.median(settling_s)) * decay / 3 < 3.0
