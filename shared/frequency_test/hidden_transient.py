@@ -13,19 +13,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import Finding
 from nufleet.shared.frequency_test.ring_down import (
+    HIGHER,
     PHASE_PER_BLOCK,
     SAMPLES_MAX,
-    decaying,
     ringing,
 )
 from nufleet.shared.frequency_test.sinusoid_fit import exponentials
+
+T = TypeVar("T", np.float64, np.complex128)
 
 CERTAIN = 0.9
 """Probability of a transient from which it is a finding."""
@@ -45,14 +50,22 @@ FASTEST = 20.0
 HALF_PERIODS = 30
 """Largest number of half periods in the record. What rings faster than that is told from tones."""
 
+DEGREE = 80
+"""Degree of polynomials of which every part is a sum, to rounding errors: a part turns by at most
+e^{jz} around the middle of the record with |z| of 48, from which degree on the coefficients, Bessel
+functions of z, vanish (Trefethen, Approximation Theory and Approximation Practice, 2013)."""
+
 FINE = 0.5
 """Distance of frequencies, in half periods per length of the record; or else in decay rates."""
 
 DAMPED = 0.05
 """Damping ratio σ/ν below which a part is improbable."""
 
-EXPLAINED = 2
-"""Number of parts that are taken away before it is asked whether the rest is white noise."""
+EXPLAINED = 3
+"""Largest number of parts that are taken away until the rest is white noise."""
+
+DEPENDENT = 1e-10
+"""Share of an energy below which columns are not told apart."""
 
 WHITE = 3.0
 NEIGHBOURS = 17
@@ -63,10 +76,13 @@ TINY = 1e-12
 """Share of a part's energy, as its samples are at most 1, below which the tones leave nothing."""
 
 NEGLIGIBLE = 1e-5
-"""Weight below which a part does not count, and noise as a multiple of the output."""
+"""Least noise, as a multiple of the deviation of the output."""
 
-RECORDS_KEPT = 8
-"""Number of records of which all that does not depend on the output is kept for further robots."""
+RECORDS_KEPT = 16
+ALIKE = 4
+"""Number of records of which all that does not depend on the output is kept for further robots, and
+the number of blocks up to which the beginning of a record is left out, so that robots which settle
+nearly equally long have the same."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +132,8 @@ def hidden_transient(
     """
     top_rad_s = float(omega_rad_s[:tones].max())
     block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
+    left_out = settle_samples // block % ALIKE * block
+    output, settle_samples = output[left_out:], settle_samples - left_out
     count = len(output) // block
     if not 4 * len(omega_rad_s) + 8 <= count <= SAMPLES_MAX:
         return None
@@ -128,27 +146,27 @@ def hidden_transient(
         return None
     first = settle_samples // block
     of = (tuple(omega_rad_s.tolist()), tones, block * sample_time_s, count, first)
-    grid = _kept_grid(*of) if found is None else _Grid.of(*of, _averaged(found, block))
+    grid = _kept_grid(*of) if found is None else _Grid.of(*of, _averaged(found[left_out:], block))
     left = y - grid.basis @ (grid.basis.T @ y)
-    noise = grid.noise(left, white)
+    heard = grid.smooth.T @ left
+    noise = grid.noise(heard, float(left @ left), white)
     if noise is None:
         return None
     prior = (SIZE * size) ** 2
     # Along each direction, whitened: the data b = g a + noise, with a of variance `prior`.
-    along = (left @ grid.directions).reshape(-1, 2)
-    gain = prior * grid.power + noise
-    log_weight = 0.5 * np.sum(
-        along**2 * (prior * grid.power / gain) / noise - np.log(gain / noise), axis=1
-    )
+    along = (heard @ grid.directions).reshape(2, -1)
+    signal = prior * grid.power
+    gain = signal + noise
+    log_weight = 0.5 * (along**2 * signal / (gain * noise) - np.log(gain / noise)).sum(axis=0)
     log_weight += grid.log_prior + math.log(EXPECTED)
     largest = max(float(log_weight.max()), math.log(1 - EXPECTED))
     weight, none = np.exp(log_weight - largest), (1 - EXPECTED) * math.exp(-largest)
     probability = float(weight.sum() / (weight.sum() + none))
     weight *= probability / weight.sum()
     # Mean and variance of each part's amplitudes, and what they do to the tones.
-    mean, spread = prior * np.sqrt(grid.power) * along / gain, prior * noise / gain
-    moved = np.abs(np.einsum("kce,ce->kc", grid.moved, mean)) ** 2
-    moved += np.einsum("kce,ce->kc", np.abs(grid.moved) ** 2, spread)
+    mean, spread = np.sqrt(grid.power) * along * (prior / gain), prior * noise / gain
+    moved = np.abs((grid.moved * mean).sum(axis=1)) ** 2
+    moved += (np.abs(grid.moved) ** 2 * spread).sum(axis=1)
     return HiddenTransient(
         probability,
         _median(grid.decay_1_s, weight),
@@ -163,18 +181,23 @@ class _Grid:
 
     basis: FloatArray
     """Orthonormal columns of tones, offset and drift, shape (count, columns)."""
+    smooth: FloatArray
+    """Polynomials that every part is a sum of, shape (count, DEGREE + 1)."""
+    gram: FloatArray
+    """Products of what the tones leave of them, shape (DEGREE + 1, DEGREE + 1)."""
     decay_1_s: FloatArray
     omega_rad_s: FloatArray
     """Decay rate σ and frequency ν of each part, shape (parts,)."""
     log_prior: FloatArray
     """Logarithm of the prior probability of each, shape (parts,)."""
     directions: FloatArray
-    """What the tones leave of each part: two orthonormal columns, shape (count, 2 parts)."""
+    """What the tones leave of each part: two orthonormal sums of what they leave of `smooth`,
+    first of all parts one of them and then the other, shape (DEGREE + 1, 2 parts)."""
     power: FloatArray
-    """Squared length of what is left along each, shape (parts, 2)."""
+    """Squared length of what is left along each, shape (2, parts)."""
     moved: ComplexArray
     """By how much each of the two, if it is mistaken for tones, moves their phasors, shape (tones,
-    parts, 2)."""
+    2, parts)."""
 
     @staticmethod
     def of(
@@ -187,58 +210,147 @@ class _Grid:
     ) -> _Grid:
         length_s, frequencies = step_s * (count - 1), len(omega_rad_s)
         turning = exponentials(step_s * np.array(omega_rad_s), count)
-        drift = np.linspace(0, 1, count)[:, None]
-        columns = [turning.real, turning.imag, np.ones((count, 1)), drift]
+        drift = np.linspace(-1, 1, count)
+        columns = [turning.real, turning.imag, np.ones((count, 1)), drift[:, None]]
         if found is not None:
             columns.append(found)
         steady = np.concatenate(columns, axis=1)
         basis = np.linalg.qr(steady)[0]
-        decays, omegas, priors = [], [], []
-        bin_rad_s = np.pi / length_s
-        top_rad_s = min(1.2 * max(omega_rad_s[:tones]), HALF_PERIODS * bin_rad_s)
-        for decay in np.geomspace(SLOWEST, FASTEST, DECAYS) / length_s:
-            omega = np.arange(0.0, top_rad_s, FINE * max(decay, bin_rad_s)) + 0.1 * decay
-            # Hardly damped parts, σ below `DAMPED` ν, are the less probable the less they are.
-            density = np.minimum(1.0, decay / (DAMPED * omega))
-            decays.append(np.full(len(omega), decay))
-            omegas.append(omega)
-            priors.append(density / (DECAYS * density.sum()))
-        decay_1_s, of_parts = np.concatenate(decays), np.concatenate(omegas)
-        parts = decaying(step_s * np.arange(count, dtype=np.float64), decay_1_s, of_parts)
-        parts = parts.reshape(count, 2, -1).transpose(0, 2, 1).reshape(count, -1)
-        left = (parts - basis @ (basis.T @ parts)).reshape(count, -1, 2).transpose(1, 0, 2)
-        # Axes of the ellipse of what is left of a cosine and a sine.
-        power, turned = np.linalg.eigh(left.transpose(0, 2, 1) @ left)
-        power = np.maximum(power, TINY * count)
-        directions = left @ (turned / np.sqrt(power)[:, None])
+        parts = _parts().below(length_s * HIGHER * max(omega_rad_s[:tones]))
+        smooth = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
+        taken = basis.T @ smooth
+        gram = smooth.T @ smooth - taken.T @ taken
         # The tones are fitted to the measuring part alone.
         late, triangle = np.linalg.qr(steady[first:])
-        theta = np.linalg.solve(triangle, late.T @ parts[first:])
-        phasors = theta[:tones] - 1j * theta[frequencies : frequencies + tones]
+        theta = np.linalg.solve(triangle, late.T @ smooth[first:])
+        phasors = (theta[:tones] - 1j * theta[frequencies : frequencies + tones]) @ parts.both
+        lengths, along = _axes(parts.both, gram @ parts.both)
+        power = np.maximum(lengths, TINY * count)
         return _Grid(
             basis,
-            decay_1_s,
-            of_parts,
-            np.log(np.concatenate(priors)),
-            directions.transpose(1, 0, 2).reshape(count, -1),
+            smooth,
+            gram,
+            parts.decay / length_s,
+            parts.omega / length_s,
+            parts.log_prior,
+            (_turned(parts.both, along) / np.sqrt(power)).reshape(DEGREE + 1, -1),
             power,
-            np.einsum("kcd,cde->kce", phasors.reshape(tones, -1, 2), turned),
+            _turned(phasors, along),
         )
 
-    def noise(self, left: FloatArray, white: float) -> float | None:
-        """Return the variance of the noise in what the tones leave; None if it is not white."""
-        rest = left
-        for _ in range(EXPLAINED):
-            along = (rest @ self.directions).reshape(-1, 2)
-            most = int(np.argmax(np.sum(along**2, axis=1)))
-            rest = rest - self.directions[:, 2 * most : 2 * most + 2] @ along[most]
+    def noise(self, heard: FloatArray, energy: float, white: float) -> float | None:
+        """Return the variance of the noise in what the tones leave; None if it is not white.
+
+        Args:
+            heard: Products of what they leave and `smooth`, shape (DEGREE + 1,).
+            energy: Sum of the squares of what they leave.
+            white: Variance of white noise, from neighbouring samples.
+        """
         slowest = int(np.sum(self.decay_1_s == self.decay_1_s[0]))
-        heard = np.sum((rest @ self.directions[:, : 2 * slowest]).reshape(-1, 2) ** 2, axis=1) / 2
-        level = uniform_filter1d(heard, min(NEIGHBOURS, slowest), mode="nearest")
-        if level.max() > WHITE * white:
-            return None
-        degrees = len(left) - self.basis.shape[1] - 2 * EXPLAINED
-        return float(max(white, float(rest @ rest) / degrees))
+        around = min(NEIGHBOURS, slowest)
+        degrees = len(self.basis) - self.basis.shape[1]
+        energies = self._energies(heard)
+        for _ in range(EXPLAINED):
+            near = self._near(int(np.argmax(energies)))
+            through = self.gram @ near
+            weights = np.linalg.lstsq(near.T @ through, near.T @ heard, rcond=DEPENDENT)[0]
+            energy -= float(heard @ near @ weights)
+            heard = heard - through @ weights
+            degrees -= near.shape[1]
+            energies = self._energies(heard)
+            level = uniform_filter1d(energies[:slowest] / 2, around, mode="nearest")
+            if level.max() <= WHITE * white:
+                return float(max(white, energy / degrees))
+        return None
+
+    def _near(self, part: int) -> FloatArray:
+        """Return a part and its derivative with respect to σ and ν, shape (DEGREE + 1, 4).
+
+        They are nearly all that a transient between the parts of the grid consists of.
+        """
+        own = self.directions[:, [part, len(self.decay_1_s) + part]]
+        # x T_n = (T_{n − 1} + T_{n + 1})/2, and x T_0 = T_1.
+        late = np.zeros_like(own)
+        late[:-1] = own[1:] / 2
+        late[1:] += own[:-1] / 2
+        late[1] += own[0] / 2
+        return np.hstack([own, late])
+
+    def _energies(self, heard: FloatArray) -> FloatArray:
+        """Return the energy that each part explains, shape (parts,)."""
+        both = ((heard @ self.directions) ** 2).reshape(2, -1)
+        return np.asarray(both[0] + both[1])
+
+
+def _axes(both: FloatArray, through: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Return squared lengths and direction of the axes of the ellipse of a cosine and a sine.
+
+    Args:
+        both: Cosines and sines, in any coordinates, shape (coordinates, 2 parts).
+        through: The metric of these coordinates times them, in the same shape.
+
+    Returns:
+        Squared length of the longer and the shorter axis, shape (2, parts), and the direction of
+        the longer one, as cosine plus j times sine, shape (parts,).
+    """
+    (cosine, sine), (of_cosine, of_sine) = (np.split(one, 2, axis=1) for one in (both, through))
+    a, b = (cosine * of_cosine).sum(axis=0), (sine * of_sine).sum(axis=0)
+    c = (cosine * of_sine).sum(axis=0)
+    mean, radius = (a + b) / 2, np.hypot((a - b) / 2, c)
+    return np.stack([mean + radius, mean - radius]), np.exp(0.5j * np.arctan2(2 * c, a - b))
+
+
+def _turned(both: NDArray[T], along: ComplexArray) -> NDArray[T]:
+    """Return cosines and sines, shape (…, 2 parts), along the axes, shape (…, 2, parts)."""
+    cosine, sine = np.split(both, 2, axis=1)
+    x, y = along.real, along.imag
+    return np.asarray(np.stack([x * cosine + y * sine, x * sine - y * cosine], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Decaying oscillations e^{(−σ + jν)t} in a record of length 1."""
+
+    decay: FloatArray
+    omega: FloatArray
+    """σ and ν of each part, as multiples of 1 over the length of the record, shape (parts,)."""
+    log_prior: FloatArray
+    """Logarithm of the prior probability of each, shape (parts,)."""
+    both: FloatArray
+    """Chebyshev coefficients of the real parts of all, and then of their imaginary parts, shape
+    (DEGREE + 1, 2 parts)."""
+
+    def below(self, top: float) -> _Parts:
+        """Return those of a frequency below `top`, and those that hardly oscillate."""
+        kept = self.omega < np.maximum(top, self.decay)
+        prior = np.exp(self.log_prior) * kept
+        for decay in np.unique(self.decay):
+            of_decay = self.decay == decay
+            prior[of_decay] /= DECAYS * prior[of_decay].sum()
+        return _Parts(
+            self.decay[kept],
+            self.omega[kept],
+            np.log(prior[kept]),
+            self.both[:, np.tile(kept, 2)],
+        )
+
+
+@lru_cache(1)
+def _parts() -> _Parts:
+    """Return all parts; they are the same in a record of any length."""
+    decays, omegas, densities = [], [], []
+    for decay in np.geomspace(SLOWEST, FASTEST, DECAYS):
+        omega = np.arange(0.0, HALF_PERIODS * np.pi, FINE * max(decay, np.pi)) + 0.1 * decay
+        decays.append(np.full(len(omega), decay))
+        omegas.append(omega)
+        # Hardly damped parts, σ below `DAMPED` ν, are the less probable the less they are.
+        densities.append(np.minimum(1.0, decay / (DAMPED * omega)))
+    decay, omega = np.concatenate(decays), np.concatenate(omegas)
+    nodes = chebpts1(DEGREE + 1)
+    turning = np.exp(np.outer((nodes + 1) / 2, 1j * omega - decay))
+    both = 2 / len(nodes) * chebvander(nodes, DEGREE).T @ np.hstack([turning.real, turning.imag])
+    both[0] /= 2
+    return _Parts(decay, omega, np.log(np.concatenate(densities)), both)
 
 
 _kept_grid = lru_cache(RECORDS_KEPT)(_Grid.of)

@@ -17,7 +17,7 @@ from nufleet.shared.frequency_test.sinusoid_fit import fit_sinusoids
 from tests.shared.frequency_test.test_ring_down import HARMONICS, STEP_S, Resonant, played
 
 OMEGA = 0.5 * np.array(HARMONICS)
-SAMPLES, SETTLE = 780, 150
+SAMPLES, SETTLE = 780, 144
 NOISE = 0.01
 
 
@@ -80,6 +80,25 @@ def test_the_variance_is_the_mean_square_by_which_transients_as_expected_move_th
     ratio = np.mean(stated, axis=0) / np.mean(off, axis=0)
     # A few large transients dominate both means.
     assert np.all((ratio > 0.6) & (ratio < 1.7)), ratio
+
+
+def test_what_hardly_decays_within_the_record_is_no_surprise_at_any_frequency_and_size() -> None:
+    rng = np.random.default_rng(6)
+    times_s = STEP_S * np.arange(SAMPLES)
+    far = []
+    for _ in range(200):
+        steady = tones(rng)
+        decay = rng.uniform(0.02, 0.1)
+        omega = rng.uniform(0.0, 1.5)
+        rings = rng.uniform(0.05, 1.0) * np.exp((1j * omega - decay) * times_s)
+        output = steady + (rings * np.exp(1j * rng.uniform(0, 2 * np.pi))).real
+        output += NOISE * rng.standard_normal(SAMPLES)
+        found = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        assert found is not None
+        fits = fit_sinusoids([steady[SETTLE:], output[SETTLE:]], OMEGA, STEP_S, 3)
+        off = np.abs(fits[1].phasors - fits[0].phasors)
+        far.append(off > 2.5 * np.sqrt(found.variance + 4 * NOISE**2 / (SAMPLES - SETTLE)))
+    assert np.mean(far) < 0.02
 
 
 def test_noise_of_a_settled_robot_says_that_hardly_anything_rings() -> None:
