@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from nufleet.orchestrator.belief.amplitude_dependence import (
     AmplitudeDependence,
@@ -14,12 +12,13 @@ from nufleet.orchestrator.belief.amplitude_dependence import (
     differ,
 )
 from nufleet.orchestrator.belief.common_error import CommonError
+from nufleet.orchestrator.belief.contradiction import Miss, miss_of
 from nufleet.orchestrator.belief.distortion import ASSUMED_ANEW, Distortion
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
-from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
@@ -45,27 +44,9 @@ DOUBT_STAYS = 10.0
 WHOLE = 0.9
 """Highest tone, as a multiple of the band's upper end, from which a test is one of all of it."""
 
-CHANGE_SIGNIFICANCE = 1e-3
-CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
 """Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
 be lost to rounding."""
-
-
-@dataclass(frozen=True)
-class _Miss:
-    """How far a test misses what the earlier tests predict of it."""
-
-    expected: ComplexArray
-    """Mean of the prediction at each tone, shape (tones,)."""
-    squared: FloatArray
-    """Squared distance from it, shape (tones,)."""
-    usual: FloatArray
-    """Variance that the distance was expected to have, shape (tones,)."""
-    worst: float
-    """The most significant distance."""
-    worst_rad_s: float
-    """Its frequency in rad/s."""
 
 
 def tone_spacing(omega_rad_s: FloatArray) -> float:
@@ -150,7 +131,7 @@ class RobotKnowledge:
         if before is None:
             return
         doubt = self._doubts[-1]
-        miss = self._miss(before, self._expected(settled=compared), new, doubt, rng)
+        miss = miss_of(new, doubt, before, self._expected(settled=compared), rng)
         if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
         if miss is None:
@@ -191,7 +172,7 @@ class RobotKnowledge:
             self._doubt(more)
             self._revise()
 
-    def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
+    def _doubt_amplitudes(self, new: Tones, miss: Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
 
         The response is that at the largest amplitude, so that a test is the less certain the
@@ -431,43 +412,14 @@ class RobotKnowledge:
         doubt = np.concatenate(self._doubts)[nearest]
         return np.asarray(DOUBT_STAYS * (1 + len(self._tones)) * doubt)
 
-    def _miss(
-        self,
-        before: ResponseModel,
-        after: ResponseModel,
-        new: Tones,
-        doubt: FloatArray,
-        rng: np.random.Generator,
-    ) -> _Miss | None:
-        """Return how far a new test misses what the earlier ones predict; None if it does not.
-
-        The test statistic is the squared distance of the new ẑ from what was expected, of which the
-        belief with the new one as well says how large it is; its distribution is χ² with one degree
-        of freedom for each real and imaginary part.
-        """
-        if before.distance(after) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
-            return None
-        expected = before.draw_fitted(new.omega_rad_s, CHECK_SAMPLES, rng)
-        squared = np.abs(new.z - expected.mean(axis=0)) ** 2
-        usual = new.variance + doubt + np.var(expected, axis=0)
-        worst = int(np.argmax(squared / usual))
-        return _Miss(
-            expected.mean(axis=0),
-            squared,
-            usual,
-            float(np.sqrt(squared[worst])),
-            float(new.omega_rad_s[worst]),
-        )
-
-    def _changed(self, miss: _Miss) -> float:
+    def _changed(self, miss: Miss) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
         flights = [one.flight for one in self.responses]
         unit = self.spec.axes[0].unit
         self._find(change_in_words(flights, unit, miss.worst, miss.worst_rad_s))
         if all(flight is None for flight in flights):
             return float(np.mean(miss.squared))
-        # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
-        return float(np.average(np.maximum(miss.squared - miss.usual, 0.0), weights=1 / miss.usual))
+        return miss.excess
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"

@@ -1,0 +1,77 @@
+"""A test that contradicts the earlier tests of a robot: how far it misses what they predict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from nufleet.orchestrator.belief.loop_fit import Tones
+from nufleet.orchestrator.belief.response_belief import ResponseModel
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+CHANGE_SIGNIFICANCE = 1e-3
+"""Probability that noise alone makes a test contradict the earlier ones."""
+
+CHECK_SAMPLES = 400
+"""Number of responses that are drawn to tell what was expected."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """How far a test misses what the earlier tests predict of it."""
+
+    expected: ComplexArray
+    """Mean of the prediction at each tone, shape (tones,)."""
+    squared: FloatArray
+    """Squared distance from it, shape (tones,)."""
+    usual: FloatArray
+    """Variance that the distance was expected to have, shape (tones,)."""
+    worst: float
+    """The most significant distance."""
+    worst_rad_s: float
+    """Its frequency in rad/s."""
+
+    @property
+    def excess(self) -> float:
+        """Mean of what the squared distances have in excess of the usual.
+
+        A flight's estimates differ in certainty; the uncertain ones say nothing about a change.
+        """
+        return float(np.average(np.maximum(self.squared - self.usual, 0.0), weights=1 / self.usual))
+
+
+def miss_of(
+    new: Tones,
+    doubt: FloatArray,
+    before: ResponseModel,
+    after: ResponseModel,
+    rng: np.random.Generator,
+) -> Miss | None:
+    """Return how far a new test misses what the earlier ones predict; None if it does not.
+
+    The test statistic is the squared distance of the new ẑ from what was expected, of which the
+    belief with the new one as well says how large it is; its distribution is χ² with one degree
+    of freedom for each real and imaginary part.
+
+    Args:
+        new: Estimates of the new test.
+        doubt: Variance of them that is the same in all tests, shape (tones,).
+        before: Belief after the earlier tests.
+        after: Belief after the new one as well.
+        rng: Generator that draws the responses expected from the earlier tests.
+    """
+    if before.distance(after) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
+        return None
+    expected = before.draw_fitted(new.omega_rad_s, CHECK_SAMPLES, rng)
+    squared = np.abs(new.z - expected.mean(axis=0)) ** 2
+    usual = new.variance + doubt + np.var(expected, axis=0)
+    worst = int(np.argmax(squared / usual))
+    return Miss(
+        expected.mean(axis=0),
+        squared,
+        usual,
+        float(np.sqrt(squared[worst])),
+        float(new.omega_rad_s[worst]),
+    )

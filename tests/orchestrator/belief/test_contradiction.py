@@ -1,0 +1,60 @@
+"""Does a test contradict the earlier ones, and by how much?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nufleet.orchestrator.belief.contradiction import Miss, miss_of
+from nufleet.orchestrator.belief.loop_fit import Tones
+from nufleet.orchestrator.belief.response_belief import ResponseModel
+from nufleet.shared.arrays import FloatArray
+from tests.orchestrator.belief.test_response_belief import COMB, PRIOR, measured, random_loop
+
+DEVIATION = 0.01
+OTHERS = np.linspace(1.0, 5.0, 6)
+NONE: FloatArray = np.zeros(len(OTHERS))
+
+
+def together(one: Tones, other: Tones) -> Tones:
+    return Tones(
+        np.concatenate([one.omega_rad_s, other.omega_rad_s]),
+        np.concatenate([one.z, other.z]),
+        np.concatenate([one.variance, other.variance]),
+    )
+
+
+def missed(earlier: Tones, new: Tones, rng: np.random.Generator) -> Miss | None:
+    models = (ResponseModel(tones, PRIOR) for tones in (earlier, together(earlier, new)))
+    return miss_of(new, NONE, *models, rng)
+
+
+def test_tests_of_the_same_robot_hardly_ever_contradict_each_other() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(60):
+        theta = random_loop(rng, mode=False)
+        tests = (measured(theta, omega, DEVIATION, rng) for omega in (COMB, OTHERS))
+        found.append(missed(*tests, rng))
+    assert sum(one is not None for one in found) <= 1
+
+
+def test_a_test_of_another_robot_is_a_contradiction_where_it_is_furthest_away() -> None:
+    rng = np.random.default_rng(2)
+    for tone, omega in enumerate(OTHERS):
+        theta = random_loop(rng, mode=False)
+        new = measured(theta, OTHERS, DEVIATION, rng)
+        # No smooth response, nor one with a resonance, leads through both tests.
+        by = np.where(np.arange(len(OTHERS)) == tone, 0.3, 0.1 * (-1) ** np.arange(len(OTHERS)))
+        off = replace(new, z=new.z + by)
+        found = missed(measured(theta, COMB, DEVIATION, rng), off, rng)
+        assert found is not None
+        assert found.worst_rad_s == omega
+        assert 0.2 < found.worst < 0.4
+
+
+def test_what_is_uncertain_says_nothing_about_how_large_a_change_is() -> None:
+    squared, usual = np.array([0.04, 9.0]), np.array([1e-4, 10.0])
+    miss = Miss(np.zeros(2, dtype=complex), squared, usual, 0.2, 1.0)
+    assert abs(miss.excess - (0.04 - 1e-4)) < 1e-3
