@@ -34,6 +34,9 @@ from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 NOISE_LEVELS_M = {"low": 0.003, "high": 0.012}
 """Standard deviation of the white noise on each sample of the position, at 50 Hz."""
 
+RUNAWAY_GAIN = 100.0
+"""Gain from which on a robot ran away."""
+
 TRUTH_POINTS = 4001
 TRUTH_HARMONIC = 54
 TRUTH_MOTIONS = 4
@@ -130,12 +133,17 @@ def random_fleet(name: str, sources: int, noise_m: float, rng: np.random.Generat
     """Draw a target and sources of one family.
 
     The true response of a nonlinear robot is the one to many tones at once, over the whole band and
-    at the amplitude at which a study tests it: that of its linear approximation in such motions.
+    at the amplitude at which a study tests it: that of its linear approximation in such motions. A
+    fleet with a robot that runs away in them, as one with a slow actuator may, is drawn anew: there
+    is no true response of it.
     """
     family = FAMILIES[name]
     band = family.band_rad_s
-    robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
-    omega, z = true_responses(robots, band)
+    while True:
+        robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
+        omega, z = true_responses(robots, band)
+        if np.abs(z).max() < RUNAWAY_GAIN:
+            break
     named = {f"source-{n}": robot for n, robot in enumerate(robots[1:], start=1)}
     responses = dict(zip(("target", *named), z, strict=True))
     psi_star = {
