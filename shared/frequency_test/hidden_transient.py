@@ -75,7 +75,7 @@ which it is no decay that the tones leave, but gusts, a drift or a change."""
 TINY = 1e-12
 """Share of a part's energy, as its samples are at most 1, below which the tones leave nothing."""
 
-NEGLIGIBLE = 1e-5
+NEGLIGIBLE = 1e-4
 """Least noise, as a multiple of the deviation of the output."""
 
 RECORDS_KEPT = 16

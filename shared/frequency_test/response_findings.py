@@ -124,7 +124,9 @@ def findings_of(
     on_the_sphere = gain / np.abs(input_fit.phasors[:tones]) / (1 + np.abs(z) ** 2)
     settling = unsettled(segment_z, omegas)
     if settling is None or settling.code != "unsettled":
-        findings.append(changed(residual, on_the_sphere, omegas, step_s))
+        # Before the measuring part, what decays at the frequency of a tone looks like a change.
+        measured = residual[len(residual) - segments * plan.segment_samples :]
+        findings.append(changed(measured, on_the_sphere, omegas, step_s))
     return [
         *findings,
         disturbed(residual + moved - usual, moved, segments),

@@ -19,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.quality import BoolArray, Finding
 from nufleet.shared.frequency_test.sinusoid_fit import exponentials
+from nufleet.shared.frequency_test.tone_decay import decaying_tone
 
 RATIO_MIN = 30.0
 """Power of a transient over that of the noise at its frequency from which it is believed. Noise
@@ -194,6 +195,7 @@ def ring_down(
     times_s, basis = record.times_s, record.steady
     # White noise, from what neighbouring samples differ by.
     noise = float(np.mean(np.diff(output, 2) ** 2)) / (6 * block)
+    tones_rad_s = omega_rad_s[omega_rad_s <= top_rad_s]
     found: list[tuple[float, float]] = []
     for _ in range(PARTS_MAX):
         left = y - basis @ (basis.T @ y)
@@ -202,6 +204,8 @@ def ring_down(
         start = _loudest(left, record)
         if start is None and np.var(left) > NOISE_RATIO * noise:
             start = _most(left, basis, times_s, HIGHER * top_rad_s)
+        if start is None:
+            start = decaying_tone(left, tones_rad_s, times_s[1])
         if start is None:
             break
         decay, omega = _refined(left, basis, times_s, start)
