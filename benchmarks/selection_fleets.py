@@ -133,9 +133,9 @@ def random_fleet(name: str, sources: int, noise_m: float, rng: np.random.Generat
     """Draw a target and sources of one family.
 
     The true response of a nonlinear robot is the one to many tones at once, over the whole band and
-    at the amplitude at which a study tests it: that of its linear approximation in such motions. A
-    fleet with a robot that runs away in them, as one with a slow actuator may, is drawn anew: there
-    is no true response of it.
+    at the amplitude at which a study tests it: that of its linear approximation in such motions.
+    There is none of a robot that runs away in them, as one with a slow actuator may: another fleet
+    is drawn instead.
     """
     family = FAMILIES[name]
     band = family.band_rad_s
