@@ -61,7 +61,7 @@ FINE = 0.5
 DAMPED = 0.05
 """Damping ratio σ/ν below which a part is improbable."""
 
-EXPLAINED = 3
+EXPLAINED = 4
 """Largest number of parts that are taken away until the rest is white noise."""
 
 DEPENDENT = 1e-10
@@ -74,6 +74,11 @@ which it is no decay that the tones leave, but gusts, a drift or a change."""
 
 TINY = 1e-12
 """Share of a part's energy, as its samples are at most 1, below which the tones leave nothing."""
+
+PHASE_MAX = 1.2
+FOLDED = 3.0
+"""Phases in rad per block: the largest of the fastest tone, and that from which harmonics are left
+out."""
 
 NEGLIGIBLE = 1e-4
 """Least noise, as a multiple of the deviation of the output."""
@@ -132,10 +137,15 @@ def hidden_transient(
     """
     top_rad_s = float(omega_rad_s[:tones].max())
     block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
+    block = max(block, math.ceil(len(output) / SAMPLES_MAX))
+    if top_rad_s * block * sample_time_s > PHASE_MAX:
+        return None
+    # In longer blocks, the highest harmonics would pass for other frequencies.
+    omega_rad_s = omega_rad_s[omega_rad_s * block * sample_time_s < FOLDED]
     left_out = settle_samples // block % ALIKE * block
     output, settle_samples = output[left_out:], settle_samples - left_out
     count = len(output) // block
-    if not 4 * len(omega_rad_s) + 8 <= count <= SAMPLES_MAX:
+    if count < 4 * len(omega_rad_s) + 8:
         return None
     y = _averaged(output, block)
     size = float(np.std(y))
