@@ -97,7 +97,8 @@ class HiddenTransient:
     probability: float
     """Probability that there is one."""
     decay_1_s: float
-    """Decay rate σ that it exceeds as probably as not, if there is one."""
+    """Decay rate σ that it exceeds as probably as not, if there is one; infinite if that is the
+    largest of those that are tried, as it may be any that is larger."""
     omega_rad_s: float
     """Its most probable frequency ν."""
     variance: FloatArray
@@ -173,13 +174,14 @@ def hidden_transient(
     weight, none = np.exp(log_weight - largest), (1 - EXPECTED) * math.exp(-largest)
     probability = float(weight.sum() / (weight.sum() + none))
     weight *= probability / weight.sum()
+    decay_1_s = _median(grid.decay_1_s, weight)
     # Mean and variance of each part's amplitudes, and what they do to the tones.
     mean, spread = np.sqrt(grid.power) * along * (prior / gain), prior * noise / gain
     moved = np.abs((grid.moved * mean).sum(axis=1)) ** 2
     moved += (np.abs(grid.moved) ** 2 * spread).sum(axis=1)
     return HiddenTransient(
         probability,
-        _median(grid.decay_1_s, weight),
+        decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
         float(grid.omega_rad_s[np.argmax(weight)]),
         moved @ weight,
     )

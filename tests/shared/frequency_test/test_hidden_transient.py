@@ -141,3 +141,14 @@ def test_a_transient_that_outlasts_the_test_is_a_finding_with_its_settling_time(
             settling_s.append(found.value)
         # What is slower than the record is long is told to a factor.
         assert 1 / 3 < float(np.median(settling_s)) * decay / 3 < 3.0
+
+
+def test_what_decays_at_once_is_not_taken_for_something_slower() -> None:
+    rng = np.random.default_rng(7)
+    times_s = STEP_S * np.arange(SAMPLES)
+    for _ in range(20):
+        decay = rng.uniform(30.0, 60.0) / times_s[-1]
+        ringing = np.exp(-decay * times_s) * np.cos(0.3 * times_s + rng.uniform(0, 6))
+        output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
+        found = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        assert may_ring(found, 1.2 * 3 / decay) is None
