@@ -107,6 +107,11 @@ def flexible(rng: np.random.Generator) -> LinearLoop:
     return _shaken(second_order(rng), rng, (1.5, 5.0), (0.03, 0.1))
 
 
+def twice_flexible(rng: np.random.Generator) -> LinearLoop:
+    """A well-damped loop that shakes two things, which may resonate near each other."""
+    return _shaken(flexible(rng), rng, (1.5, 5.0), (0.03, 0.1))
+
+
 def low_resonance(rng: np.random.Generator) -> LinearLoop:
     """The same, with the narrow mode in the lowest part of the band."""
     return _shaken(second_order(rng), rng, (0.2, 1.4), (0.05, 0.2))
@@ -224,6 +229,7 @@ FAMILIES: dict[str, Family] = {
     "second-order": Family(second_order),
     "lightly-damped": Family(lightly_damped),
     "flexible": Family(flexible),
+    "twice-flexible": Family(twice_flexible),
     "gain-and-delay": Family(gain_and_delay),
     "mildly-nonlinear": Family(
         _one_of(_bent(dead_zone_m_s2=(0.01, 0.05)), _bent(rate_max_m_s3=(25.0, 50.0)))
