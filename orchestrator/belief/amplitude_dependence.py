@@ -11,9 +11,11 @@ import numpy as np
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.frequency_response import Flight
 
-FORM_HALVINGS = 0.5
-"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude: peaks of the
-same height stand out of the rest of a motion by factors that differ by about √2."""
+FORM_HALVINGS = 0.75
+"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude. From a test of
+few tones to one of many tones with random phases, the responses of 40 loops of a kind change by 0.6
+of what half the amplitude does to them with a dead zone or friction (median), 0.8 with backlash,
+0.9 where the actuator saturates, and 1.7 with a hardening spring."""
 
 
 AMPLITUDES_DIFFER = 1.25

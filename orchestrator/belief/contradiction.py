@@ -18,12 +18,20 @@ CHECK_SAMPLES = 400
 """Number of responses that are drawn to tell what was expected."""
 
 
+SAME_TONE = 1e-6
+"""Relative difference of two frequencies up to which they are the same tone."""
+
+
 @dataclass(frozen=True)
 class Miss:
     """How far a test misses what the earlier tests predict of it."""
 
+    omega_rad_s: FloatArray
+    """Frequencies at which the two are compared in rad/s, shape (tones,)."""
+    measured: ComplexArray
+    """What the test measured at each, shape (tones,)."""
     expected: ComplexArray
-    """Mean of the prediction at each tone, shape (tones,)."""
+    """Mean of the prediction, shape (tones,)."""
     squared: FloatArray
     """Squared distance from it, shape (tones,)."""
     usual: FloatArray
@@ -65,13 +73,45 @@ def miss_of(
     if before.distance(after) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
         return None
     expected = before.draw_fitted(new.omega_rad_s, CHECK_SAMPLES, rng)
-    squared = np.abs(new.z - expected.mean(axis=0)) ** 2
     usual = new.variance + doubt + np.var(expected, axis=0)
+    return _miss(new.omega_rad_s, new.z, expected.mean(axis=0), usual)
+
+
+def miss_at_same_tones(new: Tones, doubt: FloatArray, earlier: Tones) -> Miss | None:
+    """Return how far a new test misses earlier estimates at the same tones; None if it does not.
+
+    No model of the response is needed to compare these, which may explain a small change at all
+    frequencies by resonances between the tones.
+
+    Args:
+        new: Estimates of the new test.
+        doubt: Variance of them that is the same in all tests, shape (tones,).
+        earlier: Estimates of the earlier tests, with what is doubted of them in their variances.
+    """
+    apart = np.abs(new.omega_rad_s[:, None] - earlier.omega_rad_s)
+    variance = np.where(apart <= SAME_TONE * new.omega_rad_s[:, None], earlier.variance, np.inf)
+    known = np.argmin(variance, axis=1)
+    shared = np.isfinite(variance.min(axis=1))
+    if not shared.any():
+        return None
+    known = known[shared]
+    usual = (new.variance + doubt)[shared] + earlier.variance[known]
+    miss = _miss(new.omega_rad_s[shared], new.z[shared], earlier.z[known], usual)
+    excess = 2 * float(np.sum(miss.squared / miss.usual))
+    return miss if excess > chdtri(2 * len(usual), CHANGE_SIGNIFICANCE) else None
+
+
+def _miss(
+    omega_rad_s: FloatArray, measured: ComplexArray, expected: ComplexArray, usual: FloatArray
+) -> Miss:
+    squared = np.abs(measured - expected) ** 2
     worst = int(np.argmax(squared / usual))
     return Miss(
-        expected.mean(axis=0),
+        omega_rad_s,
+        measured,
+        expected,
         squared,
         usual,
         float(np.sqrt(squared[worst])),
-        float(new.omega_rad_s[worst]),
+        float(omega_rad_s[worst]),
     )

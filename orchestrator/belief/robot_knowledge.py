@@ -12,7 +12,7 @@ from nufleet.orchestrator.belief.amplitude_dependence import (
     differ,
 )
 from nufleet.orchestrator.belief.common_error import CommonError
-from nufleet.orchestrator.belief.contradiction import Miss, miss_of
+from nufleet.orchestrator.belief.contradiction import Miss, miss_at_same_tones, miss_of
 from nufleet.orchestrator.belief.distortion import ASSUMED_ANEW, Distortion
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
@@ -123,6 +123,7 @@ class RobotKnowledge:
             self._revise()
         # What a transient may have done must not explain what another amplitude did.
         before = self._expected(settled=compared) if check and not first else None
+        earlier = self._doubted if compared else None
         self.responses.append(response)
         self._tones.append(new)
         self._hidden.append(response.variance[known] - response.noise_variance[known])
@@ -131,7 +132,8 @@ class RobotKnowledge:
         if before is None:
             return
         doubt = self._doubts[-1]
-        miss = miss_of(new, doubt, before, self._expected(settled=compared), rng)
+        miss = None if earlier is None else miss_at_same_tones(new, doubt, earlier)
+        miss = miss or miss_of(new, doubt, before, self._expected(settled=compared), rng)
         if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
         if miss is None:
@@ -139,7 +141,7 @@ class RobotKnowledge:
         self._revise()
         tests_only = all(one.flight is None for one in self.responses)
         if tests_only and compared:
-            self._doubt_amplitudes(new, miss, amplitude or 0.0, response.amplitude or 0.0)
+            self._doubt_amplitudes(miss, amplitude or 0.0, response.amplitude or 0.0)
         else:
             self._doubt(self._changed(miss))
 
@@ -172,13 +174,15 @@ class RobotKnowledge:
             self._doubt(more)
             self._revise()
 
-    def _doubt_amplitudes(self, new: Tones, miss: Miss, before: float, now: float) -> None:
+    def _doubt_amplitudes(self, miss: Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
 
         The response is that at the largest amplitude, so that a test is the less certain the
         further its own is from that; motions of another form are as those of another amplitude.
         """
-        larger, smaller = (miss.expected, new.z) if before > now else (new.z, miss.expected)
+        larger, smaller = miss.expected, miss.measured
+        if now > before:
+            larger, smaller = smaller, larger
         unit = self.spec.axes[0].unit
         self._find(
             f"its response depends on the amplitude: at {now:.2g} {unit} it is "
@@ -186,7 +190,7 @@ class RobotKnowledge:
             f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
         )
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
-        self.by_amplitude = AmplitudeDependence(new.omega_rad_s, excess)
+        self.by_amplitude = AmplitudeDependence(miss.omega_rad_s, excess)
 
     def assume(self, by_amplitude: AmplitudeDependence | None, distortion: float) -> None:
         """Believe of a robot what others of its kind have shown, where its tests are silent.
@@ -271,6 +275,11 @@ class RobotKnowledge:
         """Largest amplitude of the tests in the axis's unit; None where it is not known."""
         played = [r.amplitude for r in self.responses if r.flight is None]
         return max((one for one in played if one is not None), default=None)
+
+    @property
+    def at_two_amplitudes(self) -> bool:
+        """Whether tests were played at clearly different amplitudes."""
+        return any(differ(one.amplitude, self.amplitude) for one in self.responses)
 
     @property
     def silent(self) -> bool:

@@ -231,10 +231,13 @@ class AdaptiveStudy:
         looks = self._looks.due(contenders)
         if not looks and surely < sure:
             looks = self._looks.due(there)
-        if looks:
-            lowest_rad_s = max(self._robots[name].lowest_rad_s for name in looks)
+        unreached = [name for name in looks if self._unseen(name)]
+        if unreached:
+            lowest_rad_s = max(self._robots[name].lowest_rad_s for name in unreached)
             why = f"nothing is claimed unseen below {lowest_rad_s:.3g} rad/s"
             lacking = "the lower end of the band was not tested"
+        elif looks:
+            why, lacking = "what another amplitude does", "only one amplitude was tested"
         else:
             looks = self._looks.finer((*contenders, *there))
             why = "resonances as narrow as settling was found to be slow"

@@ -20,8 +20,8 @@ class AdaptiveSettings:
     settle_share: float = 0.2
     """Share of a robot's settling time for which its tests wait, since what still rings then is
     estimated along with the tones."""
-    lowest: float = 2.0
-    """Lowest tone that a claim rests on, as a multiple of the band's lower end."""
+    lowest: float = 2.5
+    """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end."""
     other_amplitude: float = 0.5
     """Amplitude of that test, as a share of the largest that was played."""
     dear: float = 0.6

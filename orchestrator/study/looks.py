@@ -2,8 +2,9 @@
 
 Before anything is claimed, each contender has played a test that reaches down to the lower end of
 the band, at another amplitude than its first: what differs below its lowest tone, or at another
-amplitude, would otherwise be claimed unseen. One that settles more slowly than it states, as tests
-of it or of its kind showed, also plays the first look that it would have played.
+amplitude, would otherwise be claimed unseen. Its tones are mostly those of the first test, of which
+a part is enough if that reaches as low. One that settles more slowly than it states, as tests of it
+or of its kind showed, also plays the first look that it would have played.
 
 Axes that may move together share the tones of a test, dealt to them in turn. Up to three of them
 reach down to the lower end of the band in the same lowest look.
@@ -30,6 +31,7 @@ from nufleet.orchestrator.study.tone_choice import (
     first_look,
     lowest_look,
     lowest_look_together,
+    part_of,
 )
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -38,10 +40,6 @@ from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
 NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
-
-REACHED = 1.25
-"""A lowest look is due once the lowest tone played exceeds that of the lowest look by this
-factor."""
 
 FINER = 1.5
 """A test is repeated for resonances between its tones if these are as many times further apart."""
@@ -83,6 +81,8 @@ class Looks:
         """Robot time of all tests that were asked for, in s."""
         self.lowest_asked_s = 0.0
         """The part of it that the lowest looks took."""
+        # A robot that answers at another amplitude than asked is not asked again.
+        self._smaller_asked: set[tuple[str, int]] = set()
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -96,7 +96,10 @@ class Looks:
         """Return the excitation of a test that is to be played now, and count its time."""
         cost_s = self.duration_s(name, choice)
         self.asked_s += cost_s
-        self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
+        lower = choice.omega_rad_s[0] < self._first_of(name, choice.axes[0]).omega_rad_s[0]
+        self.lowest_asked_s += cost_s * (choice.share is not None and bool(lower))
+        if choice.share is not None:
+            self._smaller_asked |= {(name, place) for place in choice.axes}
         return choice.excitation(
             *self._plan.axes,
             settle_s=self._settle_s(name),
@@ -119,14 +122,25 @@ class Looks:
         return found
 
     def due(self, names: Iterable[str]) -> dict[str, ToneChoice]:
-        """Return the lowest looks that are missing before anything is claimed."""
+        """Return the looks at the lowest tones, or another amplitude, that a claim still lacks."""
         found = {}
         for name in names:
             for first in self._firsts[name]:
                 lacking = self._lacking(name, first)
-                if name not in found and lacking:
-                    found[name] = self.lowest(name, first, lacking)
+                look = self.lowest(name, first, lacking)
+                if name not in found and (lacking or self._uncompared(name, look)):
+                    found[name] = look
         return found
+
+    def _uncompared(self, name: str, look: ToneChoice) -> bool:
+        """Whether a look would be the first one at another amplitude of one of its axes."""
+        if look.share is None or look.share >= 1:
+            return False
+        known = ((place, self._known(name, place)) for place in look.axes)
+        return any(
+            not one.at_two_amplitudes and (name, place) not in self._smaller_asked
+            for place, one in known
+        )
 
     def finer(self, names: Iterable[str]) -> dict[str, ToneChoice]:
         """Return the first tests as they would have been, had robots not misstated their settling.
@@ -152,21 +166,32 @@ class Looks:
     ) -> ToneChoice:
         """Return the lowest look of a robot, of as many axes as may reach down together.
 
+        It is played at another amplitude than the first test, if noise leaves room for a smaller
+        one. Where that of a single axis reaches down itself, the look is a part of it.
+
         Args:
             name: Name of the robot.
             first: First test of the axes that play.
-            lacking: Places of the axes that have not reached down yet; None for all of them.
+            lacking: Places of the axes that have not reached down yet; None for all of them. If
+                there are none, only another amplitude is played.
         """
-        wanted = first.axes if lacking is None else tuple(lacking)
+        look = self._lowest(name, first, first.axes if lacking is None else tuple(lacking))
+        variances = [self._expected_variance(name, look, place) for place in look.axes]
+        smaller = self._settings.other_amplitude
+        quiet = np.median(np.concatenate(variances)) <= (smaller * NOISY) ** 2
+        return replace(look, share=smaller if quiet else 1.0)
+
+    def _lowest(self, name: str, first: ToneChoice, wanted: tuple[int, ...]) -> ToneChoice:
         spec, band_rad_s = self._robots[name].spec, self._plan.band_rad_s
         if len(first.axes) == 1:
-            return lowest_look(band_rad_s, spec, self._settings.lowest * band_rad_s[0], first)
+            look = lowest_look(spec, self._wanted_rad_s, first) if wanted else first
+            return part_of(first) if look == first else look
         axes = (*wanted, *(axis for axis in first.axes if axis not in wanted))
         reach_rad_s = self._reach_rad_s(name, first)
         for low in range(min(len(wanted), max(LOWEST_TOGETHER)), 0, -1):
-            look = lowest_look_together(band_rad_s, spec, reach_rad_s, axes, low)
-            if look is not None:
-                return look
+            together = lowest_look_together(band_rad_s, spec, reach_rad_s, axes, low)
+            if together is not None:
+                return together
         return replace(first, axes=axes)
 
     def candidates(self, name: str, centres_rad_s: Sequence[float]) -> Iterator[ToneChoice]:
@@ -210,7 +235,7 @@ class Looks:
         Returns:
             Samples at all tones, shape (samples, tones), and variances, shape (tones,).
         """
-        share = self._settings.other_amplitude if self._smaller(name, choice) else 1.0
+        share = choice.share or 1.0
         measured, variances = [], []
         for place in choice.axes:
             omega = choice.omegas_of(place)
@@ -224,7 +249,7 @@ class Looks:
 
     def reached(self, name: str) -> bool:
         """Whether tests of the robot reached down to the lower end of the band on every axis."""
-        return not self.due([name])
+        return not any(self._lacking(name, first) for first in self._firsts[name])
 
     def _settle_s(self, name: str) -> float:
         return self._settings.settle_share * self._robots[name].settling_time_s
@@ -237,21 +262,6 @@ class Looks:
         first = self._first_of(name, place)
         known = self._known(name, place)
         return known.expected_variance(choice.omegas_of(place), choice.measure_s / first.measure_s)
-
-    def _smaller(self, name: str, choice: ToneChoice) -> bool:
-        """Whether a test is played at another amplitude, as lowest looks are if noise allows."""
-        if not self._is_lowest(name, choice):
-            return False
-        variances = [self._expected_variance(name, choice, place) for place in choice.axes]
-        quiet = (self._settings.other_amplitude * NOISY) ** 2
-        return bool(np.median(np.concatenate(variances)) <= quiet)
-
-    def _is_lowest(self, name: str, choice: ToneChoice) -> bool:
-        """Whether a test is a lowest look that is not the robot's first test as well."""
-        first = self._first_of(name, choice.axes[0])
-        known = (first, self.lowest(name, first))
-        together = choice.repeats > 1
-        return choice != first and (together or replace(choice, axes=first.axes) in known)
 
     def _first_of(self, name: str, place: int) -> ToneChoice:
         """Return a robot's first test of an axis."""
@@ -270,19 +280,20 @@ class Looks:
         It is as low as the robot allows.
         """
         band_rad_s, spec = self._plan.band_rad_s, self._robots[name].spec
-        lowest_rad_s = self._settings.lowest * band_rad_s[0]
+        reach_rad_s, already_rad_s = self._wanted_rad_s, float(first.omega_rad_s[0])
         if len(first.axes) == 1:
-            return REACHED * float(
-                lowest_look(band_rad_s, spec, lowest_rad_s, first).omega_rad_s[0]
-            )
-        # Several axes use this margin themselves, since each of them needs a tone as low as that.
-        reach_rad_s, already_rad_s = REACHED * lowest_rad_s, float(first.omega_rad_s[0])
+            return max(reach_rad_s, float(lowest_look(spec, reach_rad_s, first).omega_rad_s[0]))
         while (
             reach_rad_s < already_rad_s
             and lowest_look_together(band_rad_s, spec, reach_rad_s, first.axes, 1) is None
         ):
             reach_rad_s *= LOW_SPACING
         return reach_rad_s
+
+    @property
+    def _wanted_rad_s(self) -> float:
+        """Frequency in rad/s that the lowest tone must not be above, of robots that allow it."""
+        return self._settings.lowest * self._plan.band_rad_s[0]
 
     def _first(self, name: str, group: tuple[int, ...]) -> ToneChoice:
         """Return a first test: one that reaches down to the lower end where that saves time."""
@@ -298,8 +309,10 @@ class Looks:
             most_rad_s = reach_rad_s * (1 + ROUNDING)
             lacking = [axis for axis in group if one.omegas_of(axis)[0] > most_rad_s]
             each_s = one.duration_s(spec) * len(self._robots)
+            if not lacking:
+                each_s += CLAIMED * one.duration_s(spec)
             while lacking:
-                look = self.lowest(name, one, lacking)
+                look = self._lowest(name, one, tuple(lacking))
                 each_s += CLAIMED * look.duration_s(spec)
                 lacking = [a for a in lacking[1:] if look.omegas_of(a)[0] > most_rad_s]
             return each_s
@@ -310,12 +323,11 @@ class Looks:
         """Return the amplitudes of a test; None where the robot chooses them itself."""
         axes = [self._plan.axes[place] for place in choice.axes]
         wanted = [self._plan.amplitude] * len(axes)
-        if self._is_lowest(name, choice):
+        if choice.share is not None:
             wanted = [None] * len(axes)
-            if self._smaller(name, choice):
-                share = self._settings.other_amplitude
+            if choice.share < 1:
                 played = [self._known(name, place).amplitude for place in choice.axes]
-                wanted = [None if one is None else share * one for one in played]
+                wanted = [None if one is None else choice.share * one for one in played]
         if all(one is None for one in wanted):
             return None
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]

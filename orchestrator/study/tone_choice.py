@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,9 @@ LOW_SPACING = 1.15
 FIRST_TONES = 3
 """Number of tones per axis in the first test of several axes. Two tones are four numbers, which do
 not tell the five parameters of a loop, so that further tests would be needed."""
+
+PART_TONES = 4
+"""Least number of tones at which another amplitude is compared with a first test."""
 
 LOW_TONES = 1.5
 """Least number of tones per axis in a test of several axes that reaches down to the lower end."""
@@ -73,6 +76,8 @@ class ToneChoice:
     the first plays the lowest tone."""
     repeats: int = 1
     """Number of measuring times after which the sum of the tones repeats."""
+    share: float | None = None
+    """Amplitude as a share of the largest that the robot played; None takes the study's."""
 
     @property
     def base_rad_s(self) -> float:
@@ -218,30 +223,61 @@ def first_look(
     return _up_to(high, 3 * 2 * math.pi / high, (3,), axes)
 
 
-def lowest_look(
-    band_rad_s: tuple[float, float], spec: RobotSpec, lowest_rad_s: float, first: ToneChoice
-) -> ToneChoice:
-    """Return tones over the whole band, from one period of the lowest on, spaced in proportion.
+def lowest_look(spec: RobotSpec, lowest_rad_s: float, first: ToneChoice) -> ToneChoice:
+    """Return tones from one period of the lowest on, spaced in proportion, up to a first test's.
+
+    Most tones are those of the first test, which tells what another amplitude does to each.
 
     Args:
-        band_rad_s: Lowest and highest frequency in rad/s.
         spec: Spec of the robot, which may not allow a motion as long as that.
-        lowest_rad_s: Frequency in rad/s of the lowest tone, whose period is the measuring time.
+        lowest_rad_s: Frequency in rad/s that the lowest tone, whose period is the measuring time,
+            must not be above.
         first: First test of the robot, of one axis, which is returned if it reaches as low.
     """
-    while lowest_rad_s < first.omega_rad_s[0]:
-        # Robots refuse tones below their band, so that the lowest must not be rounded down.
-        base = lowest_rad_s * (1 + 1e-9)
-        top = math.floor(band_rad_s[1] / base)
-        harmonics = [1]
-        for harmonic in range(2, top + 1):
-            if harmonic >= max(harmonics[-1] + STEP, math.ceil(LOW_SPACING * harmonics[-1])):
-                harmonics.append(harmonic)
-        choice = ToneChoice(2 * math.pi / base, tuple(harmonics), first.axes)
+    if lowest_rad_s >= first.omega_rad_s[0]:
+        return first
+    # A part of the first test's base, whose harmonics are among those of its own.
+    part = math.ceil(first.base_rad_s / lowest_rad_s)
+    while part > 1:
+        measure_s = part * first.measure_s
+        shared = [part * harmonic for harmonic in first.harmonics]
+        harmonics = (1, *_spaced(1, shared))
+        choice = _up_to(float(first.omega_rad_s[-1]), measure_s, harmonics, first.axes)
         if choice.duration_s(spec) <= spec.duration_max_s:
             return choice
-        lowest_rad_s *= LOW_SPACING
+        part -= 1
     return first
+
+
+def part_of(first: ToneChoice) -> ToneChoice:
+    """Return the shortest test of `PART_TONES` tones that are among those of a first test.
+
+    Args:
+        first: First test, of one axis.
+    """
+    high_rad_s = float(first.omega_rad_s[-1])
+    # Of odd harmonics, or even ones, every third, fifth … is as far apart for its shorter time.
+    for part in range(first.harmonics[-1], 1, -1):
+        harmonics = tuple(h // part for h in first.harmonics if h % part == 0)
+        if part % 2 and len(harmonics) >= PART_TONES:
+            return _up_to(high_rad_s, first.measure_s / part, harmonics, first.axes)
+    return first
+
+
+def _spaced(last: int, shared: Sequence[int]) -> Iterator[int]:
+    """Yield harmonics above one, spaced in proportion: those that another test plays and, where
+    the lowest of these is too close to one, some before the next."""
+
+    def least(before: int) -> int:
+        return max(before + STEP, math.ceil(LOW_SPACING * before))
+
+    for following in shared:
+        while last < shared[0] and following >= least(least(last)):
+            last = least(last)
+            yield last
+        if following >= least(last):
+            last = following
+            yield last
 
 
 def lowest_look_together(

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
-from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
+from nufleet.orchestrator.belief.amplitude_dependence import (
+    FORM_HALVINGS,
+    AmplitudeDependence,
+    differ,
+)
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.frequency_test.quality import Finding, Quality
@@ -19,10 +23,11 @@ FOUND = AmplitudeDependence(OMEGA, np.array([0.01, 0.04]))
 
 def test_a_test_is_the_less_certain_the_smaller_it_is() -> None:
     largest, half, unknown = (FOUND.variance(OMEGA, one, 0.2) for one in (0.2, 0.1, None))
-    np.testing.assert_allclose(largest, 0.25 * FOUND.squared)
-    np.testing.assert_allclose(half, 2.25 * FOUND.squared)
+    np.testing.assert_allclose(largest, FORM_HALVINGS**2 * FOUND.squared)
+    np.testing.assert_allclose(half, (1 + FORM_HALVINGS) ** 2 * FOUND.squared)
     np.testing.assert_allclose(unknown, largest)
-    np.testing.assert_allclose(FOUND.variance(np.array([1.5]), 0.2, 0.2), 0.25 * 0.025)
+    between = FOUND.variance(np.array([1.5]), 0.2, 0.2)
+    np.testing.assert_allclose(between, FORM_HALVINGS**2 * 0.025)
 
 
 def test_robots_whose_responses_agreed_count_when_others_are_judged_by_them() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nufleet.orchestrator.belief.contradiction import Miss, miss_of
+from nufleet.orchestrator.belief.contradiction import Miss, miss_at_same_tones, miss_of
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import FloatArray
@@ -54,7 +54,33 @@ def test_a_test_of_another_robot_is_a_contradiction_where_it_is_furthest_away() 
         assert 0.2 < found.worst < 0.4
 
 
+def at_same_tones(by: float, rng: np.random.Generator) -> Miss | None:
+    theta = random_loop(rng, mode=False)
+    both = np.sort(np.concatenate([COMB[::2], OTHERS]))
+    new = measured(theta, both, DEVIATION, rng)
+    return miss_at_same_tones(
+        replace(new, z=new.z + by), np.zeros(len(both)), measured(theta, COMB, DEVIATION, rng)
+    )
+
+
+def test_estimates_at_the_same_tones_are_compared_without_a_model() -> None:
+    rng = np.random.default_rng(3)
+    assert sum(at_same_tones(0.0, rng) is not None for _ in range(1000)) <= 5
+    found = [at_same_tones(3 * DEVIATION, rng) for _ in range(100)]
+    assert sum(one is not None for one in found) >= 95
+    shared = {float(omega) for one in found if one is not None for omega in one.omega_rad_s}
+    assert shared == {float(omega) for omega in COMB[::2]}
+
+
+def test_tests_without_a_tone_in_common_are_not_compared_like_that() -> None:
+    rng = np.random.default_rng(4)
+    theta = random_loop(rng, mode=False)
+    one, other = (measured(theta, omega, DEVIATION, rng) for omega in (OTHERS, OTHERS + 0.1))
+    assert miss_at_same_tones(replace(one, z=one.z + 1), NONE, other) is None
+
+
 def test_what_is_uncertain_says_nothing_about_how_large_a_change_is() -> None:
     squared, usual = np.array([0.04, 9.0]), np.array([1e-4, 10.0])
-    miss = Miss(np.zeros(2, dtype=complex), squared, usual, 0.2, 1.0)
+    nothing = np.zeros(2, dtype=complex)
+    miss = Miss(np.ones(2), nothing, nothing, squared, usual, 0.2, 1.0)
     assert abs(miss.excess - (0.04 - 1e-4)) < 1e-3

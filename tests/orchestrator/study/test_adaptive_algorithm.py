@@ -78,7 +78,7 @@ def test_an_easy_fleet_takes_a_test_of_each_robot_and_a_lowest_look_of_the_conte
     assert reports[0].confidence is not None
     assert reports[0].confidence < 0.95, "nothing is claimed unseen"
     assert questions[0].omega_rad_s[0] > 4 * BAND[0]
-    assert questions[1].omega_rad_s[0] == pytest.approx(2 * BAND[0])
+    assert questions[1].omega_rad_s[0] <= 2.5 * BAND[0]
     assert questions[1].purpose == "nothing is claimed unseen below 0.491 rad/s"
     last = reports[-1]
     assert last.selected == "near"
@@ -182,7 +182,7 @@ def test_a_source_that_was_never_measured_is_dropped_with_its_reason() -> None:
 
 def test_a_source_lost_after_its_first_test_is_judged_by_that() -> None:
     fleet = {"target": Loop(3.0), "one": Loop(3.4), "other": Loop(2.75), "third": Loop(2.7)}
-    study = begin(fleet, rounds=6, settings=AdaptiveSettings(delta=1e-6, epsilon=0.0))
+    study = begin(fleet, rounds=9, settings=AdaptiveSettings(delta=1e-6, epsilon=0.0))
     rng = np.random.default_rng(0)
     asked_after_loss = []
     lost = False

@@ -67,7 +67,11 @@ def test_sources_that_flew_need_no_first_test_and_the_selected_one_is_tested_bef
 ):
     stored = {name: [flight_of(FLEET[name], seed=n)] for n, name in enumerate(("near", "far"))}
     questions, reports = to_the_end(study_of(stored))
-    assert [question.robots for question in questions] == [("target",), ("near",), ("target",)]
+    assert [question.robots for question in questions] == [
+        ("target",),
+        ("near",),
+        ("target", "near"),
+    ]
     assert "nothing is claimed unseen" in questions[2].purpose
     assert reports[0].confidence is not None
     assert reports[0].confidence < 0.95, "nothing is claimed from flights alone"
