@@ -77,7 +77,7 @@ class ToneChoice:
     repeats: int = 1
     """Number of measuring times after which the sum of the tones repeats."""
     share: float | None = None
-    """Amplitude as a share of the largest that the robot played; None takes the study's."""
+    """Amplitude, as a share of the largest that the robot played; None takes that of the study."""
 
     @property
     def base_rad_s(self) -> float:
@@ -226,7 +226,7 @@ def first_look(
 def lowest_look(spec: RobotSpec, lowest_rad_s: float, first: ToneChoice) -> ToneChoice:
     """Return tones from one period of the lowest on, spaced in proportion, up to a first test's.
 
-    Most tones are those of the first test, which tells what another amplitude does to each.
+    Most tones are those of the first test, so that two amplitudes can be compared at each.
 
     Args:
         spec: Spec of the robot, which may not allow a motion as long as that.
