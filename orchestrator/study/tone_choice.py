@@ -226,7 +226,7 @@ def first_look(
 def lowest_look(spec: RobotSpec, lowest_rad_s: float, first: ToneChoice) -> ToneChoice:
     """Return tones from one period of the lowest on, spaced in proportion, up to a first test's.
 
-    Most tones are those of the first test, so that two amplitudes can be compared at each.
+    Most tones belong to the first test as well, so that amplitudes are compared tone by tone.
 
     Args:
         spec: Spec of the robot, which may not allow a motion as long as that.
