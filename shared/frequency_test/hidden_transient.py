@@ -50,6 +50,10 @@ FASTEST = 20.0
 HALF_PERIODS = 30
 """Largest number of half periods in the record. What rings faster than that is told from tones."""
 
+LINES_FROM = 3.0
+"""Least number of half periods of what does not decay, which is no transient: distortion, whose
+period the record holds."""
+
 DEGREE = 80
 """Degree of polynomials of which every part is a sum, to rounding errors: a part turns by at most
 e^{jz} around the middle of the record with |z| of 48, from which degree on the coefficients, Bessel
@@ -172,17 +176,17 @@ def hidden_transient(
     log_weight += grid.log_prior + math.log(EXPECTED)
     largest = max(float(log_weight.max()), math.log(1 - EXPECTED))
     weight, none = np.exp(log_weight - largest), (1 - EXPECTED) * math.exp(-largest)
-    probability = float(weight.sum() / (weight.sum() + none))
-    weight *= probability / weight.sum()
-    decay_1_s = _median(grid.decay_1_s, weight)
+    weight /= weight.sum() + none
+    decaying = np.where(grid.decay_1_s > 0, weight, 0.0)
+    decay_1_s = _median(grid.decay_1_s, decaying)
     # Mean and variance of each part's amplitudes, and what they do to the tones.
     mean, spread = np.sqrt(grid.power) * along * (prior / gain), prior * noise / gain
     moved = np.abs((grid.moved * mean).sum(axis=1)) ** 2
     moved += (np.abs(grid.moved) ** 2 * spread).sum(axis=1)
     return HiddenTransient(
-        probability,
+        float(decaying.sum()),
         decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
-        float(grid.omega_rad_s[np.argmax(weight)]),
+        float(grid.omega_rad_s[np.argmax(decaying)]),
         moved @ weight,
     )
 
@@ -321,7 +325,7 @@ def _turned(both: NDArray[T], along: ComplexArray) -> NDArray[T]:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Decaying oscillations e^{(−σ + jν)t} in a record of length 1."""
+    """Decaying oscillations e^{(−σ + jν)t} in a record of length 1, and such as do not decay."""
 
     decay: FloatArray
     omega: FloatArray
@@ -338,7 +342,7 @@ class _Parts:
         prior = np.exp(self.log_prior) * kept
         for decay in np.unique(self.decay):
             of_decay = self.decay == decay
-            prior[of_decay] /= DECAYS * prior[of_decay].sum()
+            prior[of_decay] /= (DECAYS if decay else 1) * prior[of_decay].sum()
         return _Parts(
             self.decay[kept],
             self.omega[kept],
@@ -350,7 +354,8 @@ class _Parts:
 @lru_cache(1)
 def _parts() -> _Parts:
     """Return all parts; they are the same in a record of any length."""
-    decays, omegas, densities = [], [], []
+    lines = np.arange(LINES_FROM, HALF_PERIODS, FINE) * np.pi
+    decays, omegas, densities = [np.zeros(len(lines))], [lines], [np.ones(len(lines))]
     for decay in np.geomspace(SLOWEST, FASTEST, DECAYS):
         omega = np.arange(0.0, HALF_PERIODS * np.pi, FINE * max(decay, np.pi)) + 0.1 * decay
         decays.append(np.full(len(omega), decay))

@@ -64,12 +64,15 @@ def test_the_variance_is_the_mean_square_by_which_transients_as_expected_move_th
     step_s = block * STEP_S
     grid = _Grid.of(tuple(OMEGA.tolist()), len(OMEGA), step_s, SAMPLES // block, SETTLE // block)
     times_s = STEP_S * np.arange(SAMPLES)
+    # Of what decays and of what does not, the probabilities add up to 1 each.
+    prior = np.exp(grid.log_prior)
+    there = EXPECTED * prior.sum() / (1 - EXPECTED + EXPECTED * prior.sum())
     off, stated = [], []
     for _ in range(400):
         steady = tones(rng)
-        part = rng.choice(len(grid.log_prior), p=np.exp(grid.log_prior))
+        part = rng.choice(len(grid.log_prior), p=prior / prior.sum())
         turning = np.exp((1j * grid.omega_rad_s[part] - grid.decay_1_s[part]) * times_s)
-        size = SIZE * float(np.std(steady)) * (rng.random() < EXPECTED)
+        size = SIZE * float(np.std(steady)) * (rng.random() < there)
         drawn = size * rng.standard_normal(2)
         output = steady + drawn[0] * turning.real + drawn[1] * turning.imag
         noisy = output + NOISE * rng.standard_normal(SAMPLES)
@@ -141,6 +144,19 @@ def test_a_transient_that_outlasts_the_test_is_a_finding_with_its_settling_time(
             settling_s.append(found.value)
         # What is slower than the record is long is told to a factor.
         assert 1 / 3 < float(np.median(settling_s)) * decay / 3 < 3.0
+
+
+def test_distortion_between_the_tones_does_not_decay_and_is_no_transient() -> None:
+    rng = np.random.default_rng(8)
+    times_s = STEP_S * np.arange(SAMPLES)
+    found = []
+    for harmonic in (2, 4, 6, 8, 10) * 8:
+        line = 0.1 * np.cos(0.5 * harmonic * times_s + rng.uniform(0, 6))
+        output = tones(rng) + line + NOISE * rng.standard_normal(SAMPLES)
+        hidden = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        assert hidden is not None
+        found.append(may_ring(hidden, 3.0))
+    assert sum(one is not None for one in found) <= 1
 
 
 def test_what_decays_at_once_is_not_taken_for_something_slower() -> None:
