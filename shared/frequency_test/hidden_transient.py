@@ -51,8 +51,9 @@ HALF_PERIODS = 30
 """Largest number of half periods in the record. What rings faster than that is told from tones."""
 
 LINES_FROM = 3.0
-"""Least number of half periods of what does not decay, which is no transient: distortion, whose
-period the record holds."""
+LINES_APART = 0.1
+"""Least frequency of what does not decay, and least distance from a tone and from each other, as
+multiples of 1 over the length of the record. It is no transient, but distortion."""
 
 DEGREE = 80
 """Degree of polynomials of which every part is a sum, to rounding errors: a part turns by at most
@@ -65,7 +66,7 @@ FINE = 0.5
 DAMPED = 0.05
 """Damping ratio σ/ν below which a part is improbable."""
 
-EXPLAINED = 4
+EXPLAINED = 6
 """Largest number of parts that are taken away until the rest is white noise."""
 
 DEPENDENT = 1e-10
@@ -232,7 +233,8 @@ class _Grid:
             columns.append(found)
         steady = np.concatenate(columns, axis=1)
         basis = np.linalg.qr(steady)[0]
-        parts = _parts().below(length_s * HIGHER * max(omega_rad_s[:tones]))
+        top = length_s * HIGHER * max(omega_rad_s[:tones])
+        parts = _parts().below(top).and_also(_lines(length_s * np.array(omega_rad_s), top))
         smooth = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
         taken = basis.T @ smooth
         gram = smooth.T @ smooth - taken.T @ taken
@@ -325,7 +327,7 @@ def _turned(both: NDArray[T], along: ComplexArray) -> NDArray[T]:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Decaying oscillations e^{(−σ + jν)t} in a record of length 1, and such as do not decay."""
+    """Oscillations e^{(−σ + jν)t} in a record of length 1."""
 
     decay: FloatArray
     omega: FloatArray
@@ -342,7 +344,7 @@ class _Parts:
         prior = np.exp(self.log_prior) * kept
         for decay in np.unique(self.decay):
             of_decay = self.decay == decay
-            prior[of_decay] /= (DECAYS if decay else 1) * prior[of_decay].sum()
+            prior[of_decay] /= DECAYS * prior[of_decay].sum()
         return _Parts(
             self.decay[kept],
             self.omega[kept],
@@ -350,12 +352,21 @@ class _Parts:
             self.both[:, np.tile(kept, 2)],
         )
 
+    def and_also(self, more: _Parts) -> _Parts:
+        """Return these parts and, after them, others."""
+        own, other = (np.split(one.both, 2, axis=1) for one in (self, more))
+        return _Parts(
+            np.concatenate([self.decay, more.decay]),
+            np.concatenate([self.omega, more.omega]),
+            np.concatenate([self.log_prior, more.log_prior]),
+            np.hstack([own[0], other[0], own[1], other[1]]),
+        )
+
 
 @lru_cache(1)
 def _parts() -> _Parts:
     """Return all parts; they are the same in a record of any length."""
-    lines = np.arange(LINES_FROM, HALF_PERIODS, FINE) * np.pi
-    decays, omegas, densities = [np.zeros(len(lines))], [lines], [np.ones(len(lines))]
+    decays, omegas, densities = [], [], []
     for decay in np.geomspace(SLOWEST, FASTEST, DECAYS):
         omega = np.arange(0.0, HALF_PERIODS * np.pi, FINE * max(decay, np.pi)) + 0.1 * decay
         decays.append(np.full(len(omega), decay))
@@ -363,11 +374,33 @@ def _parts() -> _Parts:
         # Hardly damped parts, σ below `DAMPED` ν, are the less probable the less they are.
         densities.append(np.minimum(1.0, decay / (DAMPED * omega)))
     decay, omega = np.concatenate(decays), np.concatenate(omegas)
+    log_prior = np.log(np.concatenate(densities))
+    return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
+
+
+def _lines(tones: FloatArray, top: float) -> _Parts:
+    """Return what distortion may add between the tones: products of two or three of them.
+
+    Args:
+        tones: Frequencies of the tones, as multiples of 1 over the length of the record.
+        top: Frequency below which products count.
+    """
+    two = (tones[:, None] + np.concatenate([tones, -tones, [0.0]])).ravel()
+    products = np.abs(np.concatenate([two, (two[:, None] - tones).ravel()]))
+    products = products[(products > LINES_FROM) & (products < min(top, HALF_PERIODS * np.pi))]
+    apart = np.abs(products[:, None] - tones).min(axis=1, initial=math.inf)
+    omega = np.unique(np.round(products[apart > LINES_APART] / LINES_APART)) * LINES_APART
+    decay = np.zeros(len(omega))
+    log_prior = np.full(len(omega), -math.log(max(len(omega), 1)))
+    return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
+
+
+def _coefficients(decay: FloatArray, omega: FloatArray) -> FloatArray:
     nodes = chebpts1(DEGREE + 1)
     turning = np.exp(np.outer((nodes + 1) / 2, 1j * omega - decay))
     both = 2 / len(nodes) * chebvander(nodes, DEGREE).T @ np.hstack([turning.real, turning.imag])
     both[0] /= 2
-    return _Parts(decay, omega, np.log(np.concatenate(densities)), both)
+    return np.asarray(both, dtype=np.float64)
 
 
 _kept_grid = lru_cache(RECORDS_KEPT)(_Grid.of)
