@@ -52,7 +52,7 @@ HALF_PERIODS = 30
 
 LINES_FROM = 3.0
 LINES_APART = 0.1
-"""Least frequency of what does not decay, and least distance from a tone and from each other, as
+"""Least frequency of what does not decay, and the steps to which such frequencies are rounded, as
 multiples of 1 over the length of the record. It is no transient, but distortion."""
 
 DEGREE = 80
@@ -234,7 +234,7 @@ class _Grid:
         steady = np.concatenate(columns, axis=1)
         basis = np.linalg.qr(steady)[0]
         top = length_s * HIGHER * max(omega_rad_s[:tones])
-        parts = _parts().below(top).and_also(_lines(length_s * np.array(omega_rad_s), top))
+        parts = _parts().below(top).and_also(_lines(length_s * np.array(omega_rad_s[:tones]), top))
         smooth = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
         taken = basis.T @ smooth
         gram = smooth.T @ smooth - taken.T @ taken
@@ -385,14 +385,21 @@ def _lines(tones: FloatArray, top: float) -> _Parts:
         tones: Frequencies of the tones, as multiples of 1 over the length of the record.
         top: Frequency below which products count.
     """
-    two = (tones[:, None] + np.concatenate([tones, -tones, [0.0]])).ravel()
-    products = np.abs(np.concatenate([two, (two[:, None] - tones).ravel()]))
-    products = products[(products > LINES_FROM) & (products < min(top, HALF_PERIODS * np.pi))]
-    apart = np.abs(products[:, None] - tones).min(axis=1, initial=math.inf)
-    omega = np.unique(np.round(products[apart > LINES_APART] / LINES_APART)) * LINES_APART
+    both = np.concatenate([tones, -tones])
+    two = _apart((tones[:, None] + both).ravel())
+    products = np.concatenate([two, (two[:, None] + both).ravel()])
+    products = products[np.abs(products) < min(top, HALF_PERIODS * np.pi)]
+    omega = _apart(products)
+    from_tone = np.abs(omega[:, None] - tones).min(axis=1)
+    omega = omega[(omega > LINES_FROM) & (from_tone > 2 * LINES_APART)]
     decay = np.zeros(len(omega))
     log_prior = np.full(len(omega), -math.log(max(len(omega), 1)))
     return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
+
+
+def _apart(omega: FloatArray) -> FloatArray:
+    """Return frequencies without their signs, rising, those that are the same only once."""
+    return np.asarray(np.unique(np.round(np.abs(omega) / LINES_APART)) * LINES_APART)
 
 
 def _coefficients(decay: FloatArray, omega: FloatArray) -> FloatArray:
