@@ -6,6 +6,9 @@ or like an offset and a drift: many decay rates σ and frequencies ν explain th
 and each of them says something else about the tones. So none is chosen here. All are averaged,
 weighted by how well they explain the record (Bayesian model averaging: Hoeting et al., Statistical
 Science 14, 1999), and the tones are less certain by what they would do to them.
+
+What a robot that is not linear adds at sums and differences of its tones does not decay. It
+explains a record as well as a slow transient does, and is no reason to wait.
 """
 
 from __future__ import annotations
