@@ -55,8 +55,9 @@ HALF_PERIODS = 30
 
 LINES_FROM = 3.0
 LINES_APART = 0.1
-"""Least frequency of what does not decay, and the steps to which such frequencies are rounded, as
-multiples of 1 over the length of the record. It is no transient, but distortion."""
+SAME = 1e-6
+"""Least frequency of what does not decay, the steps to which such frequencies are rounded, and
+those to which the products of two tones are, as multiples of 1 over the length of the record."""
 
 DEGREE = 80
 """Degree of polynomials of which every part is a sum, to rounding errors: a part turns by at most
@@ -389,10 +390,10 @@ def _lines(tones: FloatArray, top: float) -> _Parts:
         top: Frequency below which products count.
     """
     both = np.concatenate([tones, -tones])
-    two = _apart((tones[:, None] + both).ravel())
+    two = _apart((tones[:, None] + both).ravel(), SAME)
     products = np.concatenate([two, (two[:, None] + both).ravel()])
     products = products[np.abs(products) < min(top, HALF_PERIODS * np.pi)]
-    omega = _apart(products)
+    omega = _apart(products, LINES_APART)
     from_tone = np.abs(omega[:, None] - tones).min(axis=1)
     omega = omega[(omega > LINES_FROM) & (from_tone > 2 * LINES_APART)]
     decay = np.zeros(len(omega))
@@ -400,9 +401,9 @@ def _lines(tones: FloatArray, top: float) -> _Parts:
     return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
 
 
-def _apart(omega: FloatArray) -> FloatArray:
-    """Return frequencies without their signs, rising, those that are the same only once."""
-    return np.asarray(np.unique(np.round(np.abs(omega) / LINES_APART)) * LINES_APART)
+def _apart(omega: FloatArray, step: float) -> FloatArray:
+    """Return frequencies without their signs, in multiples of a step, rising, each of them once."""
+    return np.asarray(np.unique(np.round(np.abs(omega) / step)) * step)
 
 
 def _coefficients(decay: FloatArray, omega: FloatArray) -> FloatArray:

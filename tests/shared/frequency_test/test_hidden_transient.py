@@ -11,6 +11,7 @@ from nufleet.shared.frequency_test.hidden_transient import (
     EXPECTED,
     SIZE,
     _Grid,
+    _lines,
     hidden_transient,
     may_ring,
 )
@@ -157,6 +158,16 @@ def test_distortion_between_the_tones_does_not_decay_and_is_no_transient() -> No
         assert hidden is not None
         found.append(may_ring(hidden, 3.0))
     assert sum(one is not None for one in found) <= 1
+
+
+@pytest.mark.parametrize("tones", [6, 64])
+def test_products_of_odd_harmonics_that_are_no_tones_are_the_even_ones(tones: int) -> None:
+    base = 2 * np.pi
+    highest = 2 * tones - 1
+    found = _lines(base * np.arange(1, 2 * tones, 2), base * highest).omega / base
+    # They reach up to the highest tone, or 30 half periods.
+    expected = np.arange(2, min(highest, 15), 2)
+    np.testing.assert_allclose(found, expected, atol=0.05)
 
 
 def test_what_decays_at_once_is_not_taken_for_something_slower() -> None:
