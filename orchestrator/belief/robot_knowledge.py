@@ -294,7 +294,8 @@ class RobotKnowledge:
     @property
     def at_two_amplitudes(self) -> bool:
         """Whether tests were played at clearly different amplitudes."""
-        return any(differ(one.amplitude, self.amplitude) for one in self.responses)
+        played = (one for one in self.responses if one.flight is None)
+        return any(differ(one.amplitude, self.amplitude) for one in played)
 
     @property
     def silent(self) -> bool:
@@ -308,6 +309,7 @@ class RobotKnowledge:
         """Forget all tests."""
         self.responses, self._tones, self._noise = [], [], []
         self._hidden, self._distortions = [], []
+        self._settled = False
         self._revise()
 
     @property

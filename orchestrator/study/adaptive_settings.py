@@ -21,7 +21,8 @@ class AdaptiveSettings:
     """Share of a robot's settling time for which its tests wait, since what still rings then is
     estimated along with the tones."""
     lowest: float = 2.5
-    """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end."""
+    """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end; three
+    for a first test that begins with its third harmonic."""
     other_amplitude: float = 0.5
     """Amplitude of that test, as a share of the largest that was played."""
     dear: float = 0.6

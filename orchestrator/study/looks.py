@@ -98,7 +98,7 @@ class Looks:
         self.asked_s += cost_s
         lower = choice.omega_rad_s[0] < self._first_of(name, choice.axes[0]).omega_rad_s[0]
         self.lowest_asked_s += cost_s * (choice.share is not None and bool(lower))
-        if choice.share is not None:
+        if choice.share is not None and choice.share < 1:
             self._smaller_asked |= {(name, place) for place in choice.axes}
         return choice.excitation(
             *self._plan.axes,

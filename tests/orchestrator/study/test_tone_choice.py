@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nufleet.orchestrator.study import tone_choice
-from nufleet.orchestrator.study.tone_choice import closer_looks, first_look
+from nufleet.orchestrator.study.tone_choice import closer_looks, first_look, lowest_look
 from nufleet.robot_agent.motion.excitation import plan_excitation
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
@@ -117,3 +117,18 @@ def test_a_tone_that_would_leave_the_band_by_a_billionth_is_moved_inside_at_once
     measure_s = 2 * np.pi / (0.2 * (1 + 1e-9))
     for choice in closer_looks((0.1, 5.4), measure_s, (1.0, 1.7, 3.0), (5.4,), 5, (0, 1)):
         assert choice.omega_rad_s[-1] <= 5.4
+
+
+@given(low=st.floats(0.01, 3.0), span=st.floats(1.4, 300.0), settling_time_s=st.floats(0.01, 200.0))
+@settings(max_examples=200, deadline=None)
+def test_a_claim_rests_on_a_tone_near_the_lower_end_of_the_band(
+    low: float, span: float, settling_time_s: float
+) -> None:
+    band = low, min(low * span, 100.0)
+    spec = robot(settling_time_s).model_copy(
+        update={"omega_min_rad_s": low, "omega_max_rad_s": 100.0, "duration_max_s": 1e6}
+    )
+    first = first_look(band, spec, 11, 0.7)
+    lowest = lowest_look(spec, 2.5 * low, first)
+    assert low <= lowest.omega_rad_s[0] <= 3 * low
+    assert lowest.omega_rad_s[-1] <= first.omega_rad_s[-1]
