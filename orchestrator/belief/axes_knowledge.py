@@ -9,7 +9,6 @@ from itertools import permutations
 
 import numpy as np
 
-from nufleet.orchestrator.belief.contradiction import SAME_TONE
 from nufleet.orchestrator.belief.cross_response import CrossModel, ForeseenErrors
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
@@ -111,15 +110,12 @@ class AxesKnowledge:
         Raises:
             InvalidInputError: The test has no usable estimate.
         """
-        lowest_rad_s = _lowest_rad_s(response)
-        tests = [one for one in self.responses if one.flight is None]
-        as_long = bool(tests) and lowest_rad_s <= min(map(_lowest_rad_s, tests)) * (1 + SAME_TONE)
         self.responses.append(response)
         self._crosses.clear()
         for axis, known in self.axes.items():
             own = self.own(response, axis)
             if own is not None:
-                known.learn(own, rng, check=check, as_long=as_long and response.flight is None)
+                known.learn(own, rng, check=check)
 
     def own(self, response: FrequencyResponse, axis: str) -> FrequencyResponse | None:
         """Return what a response of the robot says of one axis; None if it does not play it."""
@@ -318,12 +314,6 @@ class AxesKnowledge:
             return _Cross(model, None)
         found = Coupling(self.robot, output, reference, float(share[most]), float(omega[most]))
         return _Cross(model, found)
-
-
-def _lowest_rad_s(response: FrequencyResponse) -> float:
-    """Return the lowest tone that any axis played, which tells how long a test lasted."""
-    played = response.own_entries.values() or [response]
-    return min(float(one.omega_rad_s.min()) for one in played)
 
 
 def unit_ratios(spec: RobotSpec, output: str, references: Sequence[str]) -> FloatArray:

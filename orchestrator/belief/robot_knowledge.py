@@ -62,8 +62,6 @@ class RobotKnowledge:
         self.spec = spec
         self.settling_time_s = spec.settling_time_s
         """Settling time in s: what the spec states or, if it is too short, what tests measured."""
-        self._settled = False
-        """Whether the last test that was as long as all before it showed nothing that rings."""
         self._omega_max_rad_s = omega_max_rad_s
         self.responses: list[FrequencyResponse] = []
         self._found: tuple[str, ...] = ()
@@ -86,12 +84,7 @@ class RobotKnowledge:
         """Number that changes with what is believed of the robot."""
 
     def learn(
-        self,
-        response: FrequencyResponse,
-        rng: np.random.Generator,
-        *,
-        check: bool = True,
-        as_long: bool = False,
+        self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
     ) -> None:
         """Learn a test's usable estimates; a contradiction to earlier tests becomes a finding.
 
@@ -99,7 +92,6 @@ class RobotKnowledge:
             response: Response that the test measured.
             rng: Generator that draws the responses expected from the earlier tests.
             check: Whether to look for contradictions, which takes as long as a fit of the model.
-            as_long: Whether the test took as long as those before it, of which there are some.
 
         Raises:
             InvalidInputError: The test has no usable estimate.
@@ -120,7 +112,7 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
-        self._note(response, as_long)
+        self._note(response)
         new = Tones(omega, z, variance)
         distortion = Distortion.of(response, new)
         amplitude = self.amplitude
@@ -153,16 +145,13 @@ class RobotKnowledge:
         else:
             self._doubt(self._changed(miss))
 
-    def _note(self, response: FrequencyResponse, as_long: bool) -> None:
+    def _note(self, response: FrequencyResponse) -> None:
         """Take note of what a test found besides its response."""
-        rings = False
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
             if finding.code == "ringing":
-                rings = True
                 self.expect_settling(finding.value or 0.0)
-        self._settled = not rings and (self._settled or as_long)
 
     def expect_settling(self, settling_time_s: float) -> None:
         """Believe that the robot settles more slowly than was known.
@@ -256,12 +245,8 @@ class RobotKnowledge:
 
     @property
     def misstated(self) -> bool:
-        """Whether it settles more slowly than it states.
-
-        What looks like a slow decay in a short test may be distortion, which a longer one tells.
-        """
-        slow = self.settling_time_s > SETTLING_RATIO_MAX * self.spec.settling_time_s
-        return slow and not self._settled
+        """Whether it settles more slowly than it states."""
+        return self.settling_time_s > SETTLING_RATIO_MAX * self.spec.settling_time_s
 
     @property
     def prior(self) -> ResponsePrior:
@@ -309,7 +294,6 @@ class RobotKnowledge:
         """Forget all tests."""
         self.responses, self._tones, self._noise = [], [], []
         self._hidden, self._distortions = [], []
-        self._settled = False
         self._revise()
 
     @property

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.shared.frequency_test.quality import Finding, Quality
@@ -50,20 +48,3 @@ def test_what_one_robot_misstates_of_its_settling_is_no_better_from_others_that_
     assert not differs.misstated
     (told,) = same.findings
     assert "correct what its driver states" in told
-
-
-@pytest.mark.parametrize(
-    ("periods", "rings", "misstated"), [(15, False, False), (15, True, True), (9, False, True)]
-)
-def test_a_slow_decay_that_a_test_as_long_does_not_confirm_was_distortion(
-    periods: int, rings: bool, misstated: bool
-) -> None:
-    rng = np.random.default_rng(0)
-    finding = Finding(code="ringing", text="it needs 90 s to settle to 5 %", value=90.0)
-    ringing = Quality(warnings=(finding,))
-    known = AxesKnowledge("robot", SPEC, BAND[1], ("x",))
-    known.learn(replace(one_test(LOOP, rng), quality=ringing), rng)
-    assert known.misstated
-    again = one_test(LOOP, rng, periods)
-    known.learn(replace(again, quality=ringing if rings else Quality()), rng)
-    assert known.misstated is misstated
