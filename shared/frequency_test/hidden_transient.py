@@ -7,8 +7,10 @@ and each of them says something else about the tones. So none is chosen here. Al
 weighted by how well they explain the record (Bayesian model averaging: Hoeting et al., Statistical
 Science 14, 1999), and the tones are less certain by what they would do to them.
 
-What a robot that is not linear adds at sums and differences of its tones does not decay. It
-explains a record as well as a slow transient does, and is no reason to wait.
+What a robot that is not linear adds at sums and differences of its tones explains a record as well
+as a slow transient does, and is no reason to wait. It differs in that it adds something at many of
+them. So all are averaged over distortion of several sizes, too: at each size, the amplitudes of all
+sums and differences are Gaussian and independent, and one of them may be larger.
 """
 
 from __future__ import annotations
@@ -16,14 +18,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts1, chebvander
-from numpy.typing import NDArray
+from numpy.polynomial.chebyshev import chebvander
 from scipy.ndimage import uniform_filter1d
 
-from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.quality import Finding
 from nufleet.shared.frequency_test.ring_down import (
     HIGHER,
@@ -32,8 +32,12 @@ from nufleet.shared.frequency_test.ring_down import (
     ringing,
 )
 from nufleet.shared.frequency_test.sinusoid_fit import exponentials
-
-T = TypeVar("T", np.float64, np.complex128)
+from nufleet.shared.frequency_test.transient_parts import (
+    DEGREE,
+    LINES_TO,
+    distortion,
+    ringing_parts,
+)
 
 CERTAIN = 0.9
 """Probability of a transient from which it is a finding."""
@@ -45,30 +49,18 @@ SIZE = 0.3
 """Prior standard deviation of what rings at the beginning, as a multiple of the deviation of
 the output."""
 
-DECAYS = 10
-SLOWEST = 0.25
-FASTEST = 20.0
-"""Number of decay rates, and the least and the largest of them, per length of the record."""
+BENT = 0.5
+DISTORTIONS = (0.1, 0.03, 0.01, 0.003, 0.001)
+"""Prior probability that there is distortion, and standard deviations of the amplitudes of its
+lines, as multiples of the deviation of the output."""
 
-HALF_PERIODS = 30
-"""Largest number of half periods in the record. What rings faster than that is told from tones."""
+OUTSTANDING = 0.5
+LARGER = 3.0
+"""Prior probability that one line, a product of three tones, is larger than the others, and how
+many times larger: where a loop saturates, that next to the highest tones is."""
 
-LINES_FROM = 3.0
-LINES_APART = 0.1
-SAME = 1e-6
-"""Least frequency of what does not decay, the steps to which such frequencies are rounded, and
-those to which the products of two tones are, as multiples of 1 over the length of the record."""
-
-DEGREE = 80
-"""Degree of polynomials of which every part is a sum, to rounding errors: a part turns by at most
-e^{jz} around the middle of the record with |z| of 48, from which degree on the coefficients, Bessel
-functions of z, vanish (Trefethen, Approximation Theory and Approximation Practice, 2013)."""
-
-FINE = 0.5
-"""Distance of frequencies, in half periods per length of the record; or else in decay rates."""
-
-DAMPED = 0.05
-"""Damping ratio σ/ν below which a part is improbable."""
+ASKED = 0.5
+"""Probability that something rings, if there is no distortion, from which there may be some."""
 
 EXPLAINED = 6
 """Largest number of parts that are taken away until the rest is white noise."""
@@ -167,58 +159,110 @@ def hidden_transient(
     first = settle_samples // block
     of = (tuple(omega_rad_s.tolist()), tones, block * sample_time_s, count, first)
     grid = _kept_grid(*of) if found is None else _Grid.of(*of, _averaged(found[left_out:], block))
-    left = y - grid.basis @ (grid.basis.T @ y)
-    heard = grid.smooth.T @ left
-    noise = grid.noise(heard, float(left @ left), white)
+    heard, steady, energy = grid.left_of(y)
+    noise = grid.noise(steady, energy, white)
     if noise is None:
         return None
-    prior = (SIZE * size) ** 2
-    # Along each direction, whitened: the data b = g a + noise, with a of variance `prior`.
-    along = (heard @ grid.directions).reshape(2, -1)
-    signal = prior * grid.power
-    gain = signal + noise
-    log_weight = 0.5 * (along**2 * signal / (gain * noise) - np.log(gain / noise)).sum(axis=0)
-    log_weight += grid.log_prior + math.log(EXPECTED)
-    largest = max(float(log_weight.max()), math.log(1 - EXPECTED))
-    weight, none = np.exp(log_weight - largest), (1 - EXPECTED) * math.exp(-largest)
-    weight /= weight.sum() + none
-    decaying = np.where(grid.decay_1_s > 0, weight, 0.0)
+    sizes = [grid.weighed(heard, noise, size, 0.0)]
+    ringing = np.exp(sizes[0].log_weight - sizes[0].log_weight.max())
+    if ringing[: grid.ringing].sum() > ASKED * ringing.sum():
+        sizes += [grid.weighed(heard, noise, size, share * size) for share in DISTORTIONS]
+    log_weight = np.stack([one.log_weight for one in sizes])
+    log_weight[0] += math.log(1 - BENT)
+    log_weight[1:] += math.log(BENT / len(DISTORTIONS))
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    moments = sum(one.moments * by[:-1] for one, by in zip(sizes, weight, strict=True))
+    decaying = weight.sum(axis=0)[: grid.ringing]
     decay_1_s = _median(grid.decay_1_s, decaying)
-    # Mean and variance of each part's amplitudes, and what they do to the tones.
-    mean, spread = np.sqrt(grid.power) * along * (prior / gain), prior * noise / gain
-    moved = np.abs((grid.moved * mean).sum(axis=1)) ** 2
-    moved += (np.abs(grid.moved) ** 2 * spread).sum(axis=1)
     return HiddenTransient(
         float(decaying.sum()),
         decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
         float(grid.omega_rad_s[np.argmax(decaying)]),
-        moved @ weight,
+        np.tensordot(grid.moved, moments, 2),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
-    """All parts that a transient may have; nothing in it depends on the output."""
+class _Weighed:
+    """How probable each part of a grid is, and none of them, with distortion of one size."""
 
-    basis: FloatArray
-    """Orthonormal columns of tones, offset and drift, shape (count, columns)."""
-    smooth: FloatArray
-    """Polynomials that every part is a sum of, shape (count, DEGREE + 1)."""
-    gram: FloatArray
-    """Products of what the tones leave of them, shape (DEGREE + 1, DEGREE + 1)."""
+    log_weight: FloatArray
+    """Logarithm of the weight of each part and, last, of none, shape (parts + 1,)."""
+    moments: FloatArray
+    """Posterior mean of each cosine's squared amplitude, of the product of both amplitudes, and of
+    the sine's squared amplitude, shape (3, parts)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What steady columns leave of polynomials, along orthonormal sums of what they leave."""
+
+    sums: FloatArray
+    """Coefficients of the polynomials in these sums, shape (DEGREE + 1, directions)."""
+    along: FloatArray
+    """What is left of each polynomial along each of them, shape (directions, DEGREE + 1)."""
+
+    @staticmethod
+    def of(products: FloatArray) -> _Left:
+        """Return it for products of what is left of polynomials, (DEGREE + 1, DEGREE + 1)."""
+        energies, axes = np.linalg.eigh(products)
+        kept = energies > DEPENDENT * energies[-1]
+        axes, lengths = axes[:, kept], np.sqrt(energies[kept])
+        return _Left(axes / lengths, lengths[:, None] * axes.T)
+
+    def turned(self, axes: FloatArray) -> _Left:
+        """Return the same along other axes, shape (directions, directions)."""
+        return _Left(self.sums @ axes, axes.T @ self.along)
+
+    def parts(self, both: FloatArray) -> FloatArray:
+        """Return cosines and sines of parts along each direction, shape (directions, 2, parts)."""
+        return np.asarray((self.along @ both).reshape(len(self.along), 2, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """All that a record may hold besides its tones; nothing in it depends on the output."""
+
+    ringing: int
+    """Number of parts that ring. After them come lines that may be larger than others."""
     decay_1_s: FloatArray
     omega_rad_s: FloatArray
-    """Decay rate σ and frequency ν of each part, shape (parts,)."""
+    """Decay rate σ and frequency ν of each part that rings, shape (ringing,)."""
+    both: FloatArray
+    """Chebyshev coefficients of their cosines, and then of their sines, shape (DEGREE + 1, 2
+    ringing)."""
     log_prior: FloatArray
-    """Logarithm of the prior probability of each, shape (parts,)."""
-    directions: FloatArray
-    """What the tones leave of each part: two orthonormal sums of what they leave of `smooth`,
-    first of all parts one of them and then the other, shape (DEGREE + 1, 2 parts)."""
+    """Logarithm of the prior probability of each part and, last, of none, shape (parts + 1,)."""
+    basis: FloatArray
+    """Orthonormal columns: tones, an offset and a drift, and after them harmonics that are slow
+    enough to be lines, shape (count, columns)."""
+    taken: FloatArray
+    """Products of the latter and the polynomials, shape (slow columns, DEGREE + 1)."""
+    polynomials: FloatArray
+    """Polynomials of which all parts are sums, shape (count, DEGREE + 1)."""
+    left: _Left
+    """What the columns without the slow harmonics leave, along axes on which lines are
+    independent."""
+    lines: FloatArray
+    """Mean square of lines of unit deviation along each, shape (directions,)."""
+    parts: FloatArray
+    """Cosine and sine of each part along each, shape (directions, 2, parts)."""
+    products: FloatArray
+    """Squared cosine, cosine times sine and squared sine, shape (directions, 3, parts)."""
     power: FloatArray
-    """Squared length of what is left along each, shape (2, parts)."""
-    moved: ComplexArray
-    """By how much each of the two, if it is mistaken for tones, moves their phasors, shape (tones,
-    2, parts)."""
+    """Sums of these over all directions, shape (3, parts)."""
+    moved: FloatArray
+    """Mean square by which parts, if they are mistaken for tones, move their phasors, per unit of
+    each of the moments of their amplitudes, shape (tones, 3, parts)."""
+    steady: _Left
+    """What all columns leave."""
+    decaying: FloatArray
+    """Cosine and sine of each part that rings along each of its directions, shape (directions, 2,
+    ringing)."""
+    inverse: FloatArray
+    """Inverse of the products of the two with themselves and each other: for the cosine, for both,
+    and for the sine, shape (3, ringing)."""
 
     @staticmethod
     def of(
@@ -230,42 +274,108 @@ class _Grid:
         found: FloatArray | None = None,
     ) -> _Grid:
         length_s, frequencies = step_s * (count - 1), len(omega_rad_s)
-        turning = exponentials(step_s * np.array(omega_rad_s), count)
+        omegas = length_s * np.array(omega_rad_s)
+        turning = exponentials(omegas / (count - 1), count)
         drift = np.linspace(-1, 1, count)
         columns = [turning.real, turning.imag, np.ones((count, 1)), drift[:, None]]
         if found is not None:
             columns.append(found)
         steady = np.concatenate(columns, axis=1)
-        basis = np.linalg.qr(steady)[0]
-        top = length_s * HIGHER * max(omega_rad_s[:tones])
-        parts = _parts().below(top).and_also(_lines(length_s * np.array(omega_rad_s[:tones]), top))
-        smooth = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
-        taken = basis.T @ smooth
-        gram = smooth.T @ smooth - taken.T @ taken
+        polynomials = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
+        ringing = ringing_parts(HIGHER * float(omegas[:tones].max()))
+        of_two, of_three = distortion(omegas[:tones])
+        # Slow harmonics are among the lines.
+        slow = omegas < LINES_TO
+        slow[:tones] = False
+        last = np.zeros(steady.shape[1], dtype=bool)
+        last[: 2 * frequencies] = np.tile(slow, 2)
+        basis = np.linalg.qr(np.hstack([steady[:, ~last], steady[:, last]]))[0]
+        taken, free = basis.T @ polynomials, int(np.sum(~last))
+        products = polynomials.T @ polynomials - taken[:free].T @ taken[:free]
+        left, all_left = _Left.of(products), _Left.of(products - taken[free:].T @ taken[free:])
+        of_lines = left.along @ np.hstack([of_two.both, of_three.both])
+        lines, axes = np.linalg.eigh(of_lines @ of_lines.T)
+        left = left.turned(axes)
+        parts = np.concatenate([left.parts(ringing.both), left.parts(of_three.both)], axis=2)
+        squares = np.stack([parts[:, 0] ** 2, parts[:, 0] * parts[:, 1], parts[:, 1] ** 2], axis=1)
         # The tones are fitted to the measuring part alone.
         late, triangle = np.linalg.qr(steady[first:])
-        theta = np.linalg.solve(triangle, late.T @ smooth[first:])
-        phasors = (theta[:tones] - 1j * theta[frequencies : frequencies + tones]) @ parts.both
-        lengths, along = _axes(parts.both, gram @ parts.both)
-        power = np.maximum(lengths, TINY * count)
+        theta = np.linalg.solve(triangle, late.T @ polynomials[first:])
+        phasors = theta[:tones] - 1j * theta[frequencies : frequencies + tones]
+        by = [(phasors @ one.both).reshape(tones, 2, -1) for one in (ringing, of_three)]
+        x, y = np.moveaxis(np.concatenate(by, axis=2), 1, 0)
+        moved = np.stack([np.abs(x) ** 2, 2 * (x * y.conj()).real, np.abs(y) ** 2], axis=1)
+        decaying = all_left.parts(ringing.both)
+        prior = [
+            EXPECTED * ringing.probability,
+            (1 - EXPECTED) * OUTSTANDING * of_three.probability,
+            np.array([(1 - EXPECTED) * (1 - OUTSTANDING)]),
+        ]
         return _Grid(
+            len(ringing.decay),
+            ringing.decay / length_s,
+            ringing.omega / length_s,
+            ringing.both,
+            np.log(np.concatenate(prior)),
             basis,
-            smooth,
-            gram,
-            parts.decay / length_s,
-            parts.omega / length_s,
-            parts.log_prior,
-            (_turned(parts.both, along) / np.sqrt(power)).reshape(DEGREE + 1, -1),
-            power,
-            _turned(phasors, along),
+            taken[free:],
+            polynomials,
+            left,
+            np.maximum(lines, 0.0),
+            parts,
+            squares,
+            squares.sum(axis=0),
+            moved,
+            all_left,
+            decaying,
+            _inverse(decaying, TINY * count),
         )
 
-    def noise(self, heard: FloatArray, energy: float, white: float) -> float | None:
-        """Return the variance of the noise in what the tones leave; None if it is not white.
+    def left_of(self, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return what is left of an output, shape (count,).
+
+        Returns:
+            What is left without the slow harmonics, along each of its directions; what is left with
+            them, likewise; and the energy of the latter.
+        """
+        size = self.basis.T @ y
+        free = len(size) - len(self.taken)
+        rest = y - self.basis @ size
+        steady = rest @ self.polynomials
+        own = steady + size[free:] @ self.taken
+        return own @ self.left.sums, steady @ self.steady.sums, float(rest @ rest)
+
+    def weighed(self, heard: FloatArray, noise: float, size: float, line: float) -> _Weighed:
+        """Return how probable each part is, and what it does to the tones.
 
         Args:
-            heard: Products of what they leave and `smooth`, shape (DEGREE + 1,).
-            energy: Sum of the squares of what they leave.
+            heard: What is left of the output along each direction, shape (directions,).
+            noise: Variance of the noise.
+            size: Deviation of the output.
+            line: Standard deviation of the amplitudes of lines.
+        """
+        variance = noise + line**2 * self.lines
+        of_none = -0.5 * float((np.log(variance / noise) + heard**2 / variance).sum())
+        prior = np.full(self.parts.shape[2], (SIZE * size) ** 2)
+        prior[self.ringing :] = (LARGER * line) ** 2
+        b = np.tensordot(heard / variance, self.parts, 1)
+        products = np.tensordot(1 / variance, self.products, 1) if line else self.power / noise
+        cc, cs, ss = prior * products
+        # The posterior covariance of both amplitudes is the inverse of 1/prior and the products.
+        det = (1 + cc) * (1 + ss) - cs**2
+        xx, xy, yy = np.stack([1 + ss, -cs, 1 + cc]) * prior / det
+        mean = np.stack([xx * b[0] + xy * b[1], xy * b[0] + yy * b[1]])
+        log_weight = self.log_prior + of_none
+        log_weight[:-1] += 0.5 * ((b * mean).sum(axis=0) - np.log(det))
+        moments = np.stack([xx + mean[0] ** 2, xy + mean[0] * mean[1], yy + mean[1] ** 2])
+        return _Weighed(log_weight, moments)
+
+    def noise(self, heard: FloatArray, energy: float, white: float) -> float | None:
+        """Return the variance of the noise in what the columns leave; None if it is not white.
+
+        Args:
+            heard: What they leave of the output along each direction, shape (directions,).
+            energy: Energy of all that they leave.
             white: Variance of white noise, from neighbouring samples.
         """
         slowest = int(np.sum(self.decay_1_s == self.decay_1_s[0]))
@@ -274,10 +384,9 @@ class _Grid:
         energies = self._energies(heard)
         for _ in range(EXPLAINED):
             near = self._near(int(np.argmax(energies)))
-            through = self.gram @ near
-            weights = np.linalg.lstsq(near.T @ through, near.T @ heard, rcond=DEPENDENT)[0]
-            energy -= float(heard @ near @ weights)
-            heard = heard - through @ weights
+            explained = near @ np.linalg.lstsq(near, heard, rcond=DEPENDENT)[0]
+            energy -= float(explained @ explained)
+            heard = heard - explained
             degrees -= near.shape[1]
             energies = self._energies(heard)
             level = uniform_filter1d(energies[:slowest] / 2, around, mode="nearest")
@@ -286,132 +395,30 @@ class _Grid:
         return None
 
     def _near(self, part: int) -> FloatArray:
-        """Return a part and its derivative with respect to σ and ν, shape (DEGREE + 1, 4).
+        """Return a part and its derivative with respect to σ and ν, shape (directions, 4).
 
         They are nearly all that a transient between the parts of the grid consists of.
         """
-        own = self.directions[:, [part, len(self.decay_1_s) + part]]
+        own = self.both[:, [part, len(self.decay_1_s) + part]]
         # x T_n = (T_{n − 1} + T_{n + 1})/2, and x T_0 = T_1.
         late = np.zeros_like(own)
         late[:-1] = own[1:] / 2
         late[1:] += own[:-1] / 2
         late[1] += own[0] / 2
-        return np.hstack([own, late])
+        return np.asarray(self.steady.along @ np.hstack([own, late]))
 
     def _energies(self, heard: FloatArray) -> FloatArray:
-        """Return the energy that each part explains, shape (parts,)."""
-        both = ((heard @ self.directions) ** 2).reshape(2, -1)
-        return np.asarray(both[0] + both[1])
+        """Return the energy that each part that rings explains, shape (ringing,)."""
+        b = np.tensordot(heard, self.decaying, 1)
+        xx, xy, yy = self.inverse
+        return np.asarray(xx * b[0] ** 2 + 2 * xy * b[0] * b[1] + yy * b[1] ** 2)
 
 
-def _axes(both: FloatArray, through: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Return squared lengths and direction of the axes of the ellipse of a cosine and a sine.
-
-    Args:
-        both: Cosines and sines, in any coordinates, shape (coordinates, 2 parts).
-        through: The metric of these coordinates times them, in the same shape.
-
-    Returns:
-        Squared length of the longer and the shorter axis, shape (2, parts), and the direction of
-        the longer one, as cosine plus j times sine, shape (parts,).
-    """
-    (cosine, sine), (of_cosine, of_sine) = (np.split(one, 2, axis=1) for one in (both, through))
-    a, b = (cosine * of_cosine).sum(axis=0), (sine * of_sine).sum(axis=0)
-    c = (cosine * of_sine).sum(axis=0)
-    mean, radius = (a + b) / 2, np.hypot((a - b) / 2, c)
-    return np.stack([mean + radius, mean - radius]), np.exp(0.5j * np.arctan2(2 * c, a - b))
-
-
-def _turned(both: NDArray[T], along: ComplexArray) -> NDArray[T]:
-    """Return cosines and sines, shape (…, 2 parts), along the axes, shape (…, 2, parts)."""
-    cosine, sine = np.split(both, 2, axis=1)
-    x, y = along.real, along.imag
-    return np.asarray(np.stack([x * cosine + y * sine, x * sine - y * cosine], axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """Oscillations e^{(−σ + jν)t} in a record of length 1."""
-
-    decay: FloatArray
-    omega: FloatArray
-    """σ and ν of each part, as multiples of 1 over the length of the record, shape (parts,)."""
-    log_prior: FloatArray
-    """Logarithm of the prior probability of each, shape (parts,)."""
-    both: FloatArray
-    """Chebyshev coefficients of the real parts of all, and then of their imaginary parts, shape
-    (DEGREE + 1, 2 parts)."""
-
-    def below(self, top: float) -> _Parts:
-        """Return those of a frequency below `top`, and those that hardly oscillate."""
-        kept = self.omega < np.maximum(top, self.decay)
-        prior = np.exp(self.log_prior) * kept
-        for decay in np.unique(self.decay):
-            of_decay = self.decay == decay
-            prior[of_decay] /= DECAYS * prior[of_decay].sum()
-        return _Parts(
-            self.decay[kept],
-            self.omega[kept],
-            np.log(prior[kept]),
-            self.both[:, np.tile(kept, 2)],
-        )
-
-    def and_also(self, more: _Parts) -> _Parts:
-        """Return these parts and, after them, others."""
-        own, other = (np.split(one.both, 2, axis=1) for one in (self, more))
-        return _Parts(
-            np.concatenate([self.decay, more.decay]),
-            np.concatenate([self.omega, more.omega]),
-            np.concatenate([self.log_prior, more.log_prior]),
-            np.hstack([own[0], other[0], own[1], other[1]]),
-        )
-
-
-@lru_cache(1)
-def _parts() -> _Parts:
-    """Return all parts; they are the same in a record of any length."""
-    decays, omegas, densities = [], [], []
-    for decay in np.geomspace(SLOWEST, FASTEST, DECAYS):
-        omega = np.arange(0.0, HALF_PERIODS * np.pi, FINE * max(decay, np.pi)) + 0.1 * decay
-        decays.append(np.full(len(omega), decay))
-        omegas.append(omega)
-        # Hardly damped parts, σ below `DAMPED` ν, are the less probable the less they are.
-        densities.append(np.minimum(1.0, decay / (DAMPED * omega)))
-    decay, omega = np.concatenate(decays), np.concatenate(omegas)
-    log_prior = np.log(np.concatenate(densities))
-    return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
-
-
-def _lines(tones: FloatArray, top: float) -> _Parts:
-    """Return what distortion may add between the tones: products of two or three of them.
-
-    Args:
-        tones: Frequencies of the tones, as multiples of 1 over the length of the record.
-        top: Frequency below which products count.
-    """
-    both = np.concatenate([tones, -tones])
-    two = _apart((tones[:, None] + both).ravel(), SAME)
-    products = np.concatenate([two, (two[:, None] + both).ravel()])
-    products = products[np.abs(products) < min(top, HALF_PERIODS * np.pi)]
-    omega = _apart(products, LINES_APART)
-    from_tone = np.abs(omega[:, None] - tones).min(axis=1)
-    omega = omega[(omega > LINES_FROM) & (from_tone > 2 * LINES_APART)]
-    decay = np.zeros(len(omega))
-    log_prior = np.full(len(omega), -math.log(max(len(omega), 1)))
-    return _Parts(decay, omega, log_prior, _coefficients(decay, omega))
-
-
-def _apart(omega: FloatArray, step: float) -> FloatArray:
-    """Return frequencies without their signs, in multiples of a step, rising, each of them once."""
-    return np.asarray(np.unique(np.round(np.abs(omega) / step)) * step)
-
-
-def _coefficients(decay: FloatArray, omega: FloatArray) -> FloatArray:
-    nodes = chebpts1(DEGREE + 1)
-    turning = np.exp(np.outer((nodes + 1) / 2, 1j * omega - decay))
-    both = 2 / len(nodes) * chebvander(nodes, DEGREE).T @ np.hstack([turning.real, turning.imag])
-    both[0] /= 2
-    return np.asarray(both, dtype=np.float64)
+def _inverse(columns: FloatArray, least: float) -> FloatArray:
+    """Return the inverse of the products of pairs of columns, shape (…, 2, pairs)."""
+    x, y = columns[:, 0], columns[:, 1]
+    xx, xy, yy = (x * x).sum(axis=0) + least, (x * y).sum(axis=0), (y * y).sum(axis=0) + least
+    return np.asarray(np.stack([yy, -xy, xx]) / (xx * yy - xy**2))
 
 
 _kept_grid = lru_cache(RECORDS_KEPT)(_Grid.of)
