@@ -117,6 +117,16 @@ def low_resonance(rng: np.random.Generator) -> LinearLoop:
     return _shaken(second_order(rng), rng, (0.2, 1.4), (0.05, 0.2))
 
 
+def narrow_resonance(rng: np.random.Generator) -> LinearLoop:
+    """The same, with a mode so narrow that it lies between the tones, and rings for minutes."""
+    return _shaken(second_order(rng), rng, (0.3, 5.0), (0.005, 0.02))
+
+
+def among_products(rng: np.random.Generator) -> LinearLoop:
+    """The same, with the mode just below twice the lowest tone, as distortion is."""
+    return _shaken(second_order(rng), rng, (0.972, 0.992), (0.01, 0.04))
+
+
 def _shaken(
     base: LinearLoop,
     rng: np.random.Generator,
@@ -239,6 +249,8 @@ FAMILIES: dict[str, Family] = {
     ),
     "low-resonance": Family(low_resonance),
     "low-resonance-10-s": Family(low_resonance, stated=lambda _rng, _time_s: 10.0),
+    "narrow-resonance-10-s": Family(narrow_resonance, stated=lambda _rng, _time_s: 10.0),
+    "among-products-10-s": Family(among_products, stated=lambda _rng, _time_s: 10.0),
     "misstated": Family(second_order, stated=misstated),
     "misstated-light": Family(lightly_damped, stated=misstated),
     "misstated-flexible": Family(flexible, stated=misstated),
