@@ -71,6 +71,8 @@ def _draw_curves(
     true_psi: Mapping[str, FloatArray],
     colours: Mapping[str, str],
 ) -> None:
+    from matplotlib.ticker import LogFormatter
+
     for curve in curves:
         if curve.source not in colours:
             continue
@@ -90,6 +92,7 @@ def _draw_curves(
         axes.plot([], [], "--", color="black", linewidth=0.9, label="closed form")
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(LogFormatter())
     axes.set_xlim(*result.band_rad_s)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("ω [rad/s]")
