@@ -164,8 +164,8 @@ def hidden_transient(
     if noise is None:
         return None
     sizes = [grid.weighed(heard, noise, size, 0.0)]
-    ringing = np.exp(sizes[0].log_weight - sizes[0].log_weight.max())
-    if ringing[: grid.ringing].sum() > ASKED * ringing.sum():
+    straight = np.exp(sizes[0].log_weight - sizes[0].log_weight.max())
+    if straight[: grid.ringing].sum() > ASKED * straight.sum():
         sizes += [grid.weighed(heard, noise, size, share * size) for share in DISTORTIONS]
     log_weight = np.stack([one.log_weight for one in sizes])
     log_weight[0] += math.log(1 - BENT)
@@ -282,7 +282,7 @@ class _Grid:
             columns.append(found)
         steady = np.concatenate(columns, axis=1)
         polynomials = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
-        ringing = ringing_parts(HIGHER * float(omegas[:tones].max()))
+        rings = ringing_parts(HIGHER * float(omegas[:tones].max()))
         of_two, of_three = distortion(omegas[:tones])
         # Slow harmonics are among the lines.
         slow = omegas < LINES_TO
@@ -296,26 +296,26 @@ class _Grid:
         of_lines = left.along @ np.hstack([of_two.both, of_three.both])
         lines, axes = np.linalg.eigh(of_lines @ of_lines.T)
         left = left.turned(axes)
-        parts = np.concatenate([left.parts(ringing.both), left.parts(of_three.both)], axis=2)
+        parts = np.concatenate([left.parts(rings.both), left.parts(of_three.both)], axis=2)
         squares = np.stack([parts[:, 0] ** 2, parts[:, 0] * parts[:, 1], parts[:, 1] ** 2], axis=1)
         # The tones are fitted to the measuring part alone.
         late, triangle = np.linalg.qr(steady[first:])
         theta = np.linalg.solve(triangle, late.T @ polynomials[first:])
         phasors = theta[:tones] - 1j * theta[frequencies : frequencies + tones]
-        by = [(phasors @ one.both).reshape(tones, 2, -1) for one in (ringing, of_three)]
+        by = [(phasors @ one.both).reshape(tones, 2, -1) for one in (rings, of_three)]
         x, y = np.moveaxis(np.concatenate(by, axis=2), 1, 0)
         moved = np.stack([np.abs(x) ** 2, 2 * (x * y.conj()).real, np.abs(y) ** 2], axis=1)
-        decaying = all_left.parts(ringing.both)
+        decaying = all_left.parts(rings.both)
         prior = [
-            EXPECTED * ringing.probability,
+            EXPECTED * rings.probability,
             (1 - EXPECTED) * OUTSTANDING * of_three.probability,
             np.array([(1 - EXPECTED) * (1 - OUTSTANDING)]),
         ]
         return _Grid(
-            len(ringing.decay),
-            ringing.decay / length_s,
-            ringing.omega / length_s,
-            ringing.both,
+            len(rings.decay),
+            rings.decay / length_s,
+            rings.omega / length_s,
+            rings.both,
             np.log(np.concatenate(prior)),
             basis,
             taken[free:],
