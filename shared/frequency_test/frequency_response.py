@@ -307,7 +307,8 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
         if ringing.lasting.any():
             # A transient is known best where it is largest, so that all of it is fitted.
             start, transient = len(one.y) % plan.segments, ringing.columns(len(one.y), step_s)
-        hidden = hidden_transient(one.y, every_omega, tones, step_s, start, transient)
+        waited_s = settle_samples * step_s
+        hidden = hidden_transient(one.y, every_omega, tones, step_s, start, waited_s, transient)
         samples = one[start:]
         try:
             input_fit, output_fit = fit_sinusoids(

@@ -16,14 +16,15 @@ sums and differences are Gaussian and independent, and one of them may be larger
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.ndimage import uniform_filter1d
 
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import Finding
 from nufleet.shared.frequency_test.ring_down import (
     HIGHER,
@@ -35,6 +36,7 @@ from nufleet.shared.frequency_test.sinusoid_fit import exponentials
 from nufleet.shared.frequency_test.transient_parts import (
     DEGREE,
     LINES_TO,
+    Parts,
     distortion,
     ringing_parts,
 )
@@ -124,9 +126,13 @@ def hidden_transient(
     tones: int,
     sample_time_s: float,
     settle_samples: int,
+    waited_s: float,
     found: FloatArray | None = None,
 ) -> HiddenTransient | None:
     """Return what the tones may hide; None if that cannot be told in a record like this.
+
+    Whether there is distortion is asked, which takes most of the time, only where its absence would
+    mean that something rings longer than the test waited, or moves a tone by more than noise does.
 
     Args:
         output: Output while the reference consists of tones alone, that is while the robot settles
@@ -135,6 +141,7 @@ def hidden_transient(
         tones: Number of tones.
         sample_time_s: Time between samples.
         settle_samples: Number of samples before those that the tones are fitted to.
+        waited_s: Time that the test waited, after the ramp.
         found: Transient that was found already, shape (samples, columns); None if none was.
     """
     top_rad_s = float(omega_rad_s[:tones].max())
@@ -163,35 +170,70 @@ def hidden_transient(
     noise = grid.noise(steady, energy, white)
     if noise is None:
         return None
-    sizes = [grid.weighed(heard, noise, size, 0.0)]
-    straight = np.exp(sizes[0].log_weight - sizes[0].log_weight.max())
-    if straight[: grid.ringing].sum() > ASKED * straight.sum():
-        sizes += [grid.weighed(heard, noise, size, share * size) for share in DISTORTIONS]
-    log_weight = np.stack([one.log_weight for one in sizes])
-    log_weight[0] += math.log(1 - BENT)
-    log_weight[1:] += math.log(BENT / len(DISTORTIONS))
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    moments = sum(one.moments * by[:-1] for one, by in zip(sizes, weight, strict=True))
-    decaying = weight.sum(axis=0)[: grid.ringing]
-    decay_1_s = _median(grid.decay_1_s, decaying)
-    return HiddenTransient(
-        float(decaying.sum()),
-        decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
-        float(grid.omega_rad_s[np.argmax(decaying)]),
-        np.tensordot(grid.moved, moments, 2),
-    )
+    straight = grid.straight(heard, noise, size)
+    hidden = _believed(grid, [straight])
+    of_noise = 4 * noise / (count - first)
+    slight = may_ring(hidden, waited_s) is None and np.all(hidden.variance < of_noise)
+    if hidden.probability < ASKED or slight:
+        return hidden
+    bent = [grid.bent.weighed(heard, noise, size, share * size) for share in DISTORTIONS]
+    return _believed(grid, [straight, *bent])
 
 
 @dataclass(frozen=True, eq=False)
 class _Weighed:
-    """How probable each part of a grid is, and none of them, with distortion of one size."""
+    """How probable each part is that a record may hold, with distortion of one size."""
 
     log_weight: FloatArray
-    """Logarithm of the weight of each part and, last, of none, shape (parts + 1,)."""
+    """Logarithm of the weight of each part, those that ring first, and of none of them last, shape
+    (parts + 1,)."""
     moments: FloatArray
     """Posterior mean of each cosine's squared amplitude, of the product of both amplitudes, and of
     the sine's squared amplitude, shape (3, parts)."""
+
+    @staticmethod
+    def of(
+        along: FloatArray, products: FloatArray, prior: FloatArray | float, log_prior: FloatArray
+    ) -> _Weighed:
+        """Weigh parts by what they explain.
+
+        Args:
+            along: Products of the record with each cosine and each sine, shape (2, parts), as
+                multiples of the variance of all else, like the following.
+            products: Products of the two with themselves and each other, shape (3, parts).
+            prior: Prior variance of both amplitudes of each, shape (parts,) or of all.
+            log_prior: Logarithm of the weight of each, if it explained nothing, and of none, shape
+                (parts + 1,).
+        """
+        cc, cs, ss = prior * products
+        # The posterior covariance of both amplitudes is the inverse of 1/prior and the products.
+        det = (1 + cc) * (1 + ss) - cs**2
+        share = prior / det
+        xx, xy, yy = (1 + ss) * share, -cs * share, (1 + cc) * share
+        u, v = along
+        x, y = xx * u + xy * v, xy * u + yy * v
+        log_weight = log_prior.copy()
+        log_weight[:-1] += 0.5 * (u * x + v * y - np.log(det))
+        return _Weighed(log_weight, np.stack([xx + x**2, xy + x * y, yy + y**2]))
+
+
+def _believed(grid: _Grid, cases: Sequence[_Weighed]) -> HiddenTransient:
+    """Return what is believed if one of several cases holds, of which the first has no lines."""
+    most = max(float(case.log_weight.max()) for case in cases)
+    weights = [np.exp(case.log_weight - most) for case in cases]
+    total = sum(float(weight.sum()) for weight in weights)
+    rings = sum(weight[: grid.ringing] for weight in weights) / total
+    variance = np.zeros(len(grid.moved))
+    for case, weight in zip(cases, weights, strict=True):
+        moved = grid.moved if case is cases[0] else grid.bent.moved
+        variance += np.tensordot(moved, case.moments * weight[:-1], 2) / total
+    decay_1_s = _median(grid.decay_1_s, rings)
+    return HiddenTransient(
+        float(rings.sum()),
+        decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
+        float(grid.omega_rad_s[np.argmax(rings)]),
+        variance,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,10 +253,6 @@ class _Left:
         axes, lengths = axes[:, kept], np.sqrt(energies[kept])
         return _Left(axes / lengths, lengths[:, None] * axes.T)
 
-    def turned(self, axes: FloatArray) -> _Left:
-        """Return the same along other axes, shape (directions, directions)."""
-        return _Left(self.sums @ axes, axes.T @ self.along)
-
     def parts(self, both: FloatArray) -> FloatArray:
         """Return cosines and sines of parts along each direction, shape (directions, 2, parts)."""
         return np.asarray((self.along @ both).reshape(len(self.along), 2, -1))
@@ -222,18 +260,15 @@ class _Left:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """All that a record may hold besides its tones; nothing in it depends on the output."""
+    """What may ring in a record of tones; nothing in it depends on the output."""
 
-    ringing: int
-    """Number of parts that ring. After them come lines that may be larger than others."""
+    tones: FloatArray
+    """Frequencies of the tones, as multiples of 1 over the length of the record, shape (tones,)."""
+    rings: Parts
+    """All parts that may ring."""
     decay_1_s: FloatArray
     omega_rad_s: FloatArray
-    """Decay rate σ and frequency ν of each part that rings, shape (ringing,)."""
-    both: FloatArray
-    """Chebyshev coefficients of their cosines, and then of their sines, shape (DEGREE + 1, 2
-    ringing)."""
-    log_prior: FloatArray
-    """Logarithm of the prior probability of each part and, last, of none, shape (parts + 1,)."""
+    """Decay rate σ and frequency ν of each, shape (ringing,)."""
     basis: FloatArray
     """Orthonormal columns: tones, an offset and a drift, and after them harmonics that are slow
     enough to be lines, shape (count, columns)."""
@@ -241,25 +276,21 @@ class _Grid:
     """Products of the latter and the polynomials, shape (slow columns, DEGREE + 1)."""
     polynomials: FloatArray
     """Polynomials of which all parts are sums, shape (count, DEGREE + 1)."""
+    phasors: ComplexArray
+    """Phasors that the tones get from each of them, shape (tones, DEGREE + 1)."""
     left: _Left
-    """What the columns without the slow harmonics leave, along axes on which lines are
-    independent."""
-    lines: FloatArray
-    """Mean square of lines of unit deviation along each, shape (directions,)."""
+    """What the columns without the slow harmonics leave."""
     parts: FloatArray
-    """Cosine and sine of each part along each, shape (directions, 2, parts)."""
-    products: FloatArray
-    """Squared cosine, cosine times sine and squared sine, shape (directions, 3, parts)."""
+    """Cosine and sine of each part along each of its directions, shape (directions, 2, ringing)."""
     power: FloatArray
-    """Sums of these over all directions, shape (3, parts)."""
+    """Squared cosine, cosine times sine and squared sine in all directions, shape (3, ringing)."""
     moved: FloatArray
     """Mean square by which parts, if they are mistaken for tones, move their phasors, per unit of
-    each of the moments of their amplitudes, shape (tones, 3, parts)."""
+    each of the moments of their amplitudes, shape (tones, 3, ringing)."""
     steady: _Left
     """What all columns leave."""
     decaying: FloatArray
-    """Cosine and sine of each part that rings along each of its directions, shape (directions, 2,
-    ringing)."""
+    """Cosine and sine of each part along each of its directions, shape (directions, 2, ringing)."""
     inverse: FloatArray
     """Inverse of the products of the two with themselves and each other: for the cosine, for both,
     and for the sine, shape (3, ringing)."""
@@ -283,7 +314,6 @@ class _Grid:
         steady = np.concatenate(columns, axis=1)
         polynomials = np.asarray(chebvander(drift, DEGREE), dtype=np.float64)
         rings = ringing_parts(HIGHER * float(omegas[:tones].max()))
-        of_two, of_three = distortion(omegas[:tones])
         # Slow harmonics are among the lines.
         slow = omegas < LINES_TO
         slow[:tones] = False
@@ -293,43 +323,43 @@ class _Grid:
         taken, free = basis.T @ polynomials, int(np.sum(~last))
         products = polynomials.T @ polynomials - taken[:free].T @ taken[:free]
         left, all_left = _Left.of(products), _Left.of(products - taken[free:].T @ taken[free:])
-        of_lines = left.along @ np.hstack([of_two.both, of_three.both])
-        lines, axes = np.linalg.eigh(of_lines @ of_lines.T)
-        left = left.turned(axes)
-        parts = np.concatenate([left.parts(rings.both), left.parts(of_three.both)], axis=2)
-        squares = np.stack([parts[:, 0] ** 2, parts[:, 0] * parts[:, 1], parts[:, 1] ** 2], axis=1)
+        parts, decaying = left.parts(rings.both), all_left.parts(rings.both)
         # The tones are fitted to the measuring part alone.
         late, triangle = np.linalg.qr(steady[first:])
         theta = np.linalg.solve(triangle, late.T @ polynomials[first:])
         phasors = theta[:tones] - 1j * theta[frequencies : frequencies + tones]
-        by = [(phasors @ one.both).reshape(tones, 2, -1) for one in (rings, of_three)]
-        x, y = np.moveaxis(np.concatenate(by, axis=2), 1, 0)
-        moved = np.stack([np.abs(x) ** 2, 2 * (x * y.conj()).real, np.abs(y) ** 2], axis=1)
-        decaying = all_left.parts(rings.both)
-        prior = [
-            EXPECTED * rings.probability,
-            (1 - EXPECTED) * OUTSTANDING * of_three.probability,
-            np.array([(1 - EXPECTED) * (1 - OUTSTANDING)]),
-        ]
         return _Grid(
-            len(rings.decay),
+            omegas[:tones],
+            rings,
             rings.decay / length_s,
             rings.omega / length_s,
-            rings.both,
-            np.log(np.concatenate(prior)),
             basis,
             taken[free:],
             polynomials,
+            phasors,
             left,
-            np.maximum(lines, 0.0),
             parts,
-            squares,
-            squares.sum(axis=0),
-            moved,
+            _power(parts),
+            _moved(phasors, rings),
             all_left,
             decaying,
-            _inverse(decaying, TINY * count),
+            _inverse(_power(decaying), TINY * count),
         )
+
+    @property
+    def ringing(self) -> int:
+        """Number of parts that may ring."""
+        return len(self.decay_1_s)
+
+    @cached_property
+    def bent(self) -> _Bent:
+        """The same for a record that may hold distortion, too."""
+        return _Bent.of(self)
+
+    @cached_property
+    def log_prior(self) -> FloatArray:
+        """Logarithm of the prior probability of each part and, last, of none, (ringing + 1,)."""
+        return np.log(np.append(EXPECTED * self.rings.probability, 1 - EXPECTED))
 
     def left_of(self, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return what is left of an output, shape (count,).
@@ -345,30 +375,18 @@ class _Grid:
         own = steady + size[free:] @ self.taken
         return own @ self.left.sums, steady @ self.steady.sums, float(rest @ rest)
 
-    def weighed(self, heard: FloatArray, noise: float, size: float, line: float) -> _Weighed:
-        """Return how probable each part is, and what it does to the tones.
+    def straight(self, heard: FloatArray, noise: float, size: float) -> _Weighed:
+        """Return how probable each part is if there is no distortion.
 
         Args:
             heard: What is left of the output along each direction, shape (directions,).
             noise: Variance of the noise.
             size: Deviation of the output.
-            line: Standard deviation of the amplitudes of lines.
         """
-        variance = noise + line**2 * self.lines
-        of_none = -0.5 * float((np.log(variance / noise) + heard**2 / variance).sum())
-        prior = np.full(self.parts.shape[2], (SIZE * size) ** 2)
-        prior[self.ringing :] = (LARGER * line) ** 2
-        b = np.tensordot(heard / variance, self.parts, 1)
-        products = np.tensordot(1 / variance, self.products, 1) if line else self.power / noise
-        cc, cs, ss = prior * products
-        # The posterior covariance of both amplitudes is the inverse of 1/prior and the products.
-        det = (1 + cc) * (1 + ss) - cs**2
-        xx, xy, yy = np.stack([1 + ss, -cs, 1 + cc]) * prior / det
-        mean = np.stack([xx * b[0] + xy * b[1], xy * b[0] + yy * b[1]])
-        log_weight = self.log_prior + of_none
-        log_weight[:-1] += 0.5 * ((b * mean).sum(axis=0) - np.log(det))
-        moments = np.stack([xx + mean[0] ** 2, xy + mean[0] * mean[1], yy + mean[1] ** 2])
-        return _Weighed(log_weight, moments)
+        none = math.log(1 - BENT) - 0.5 * float(heard @ heard) / noise
+        along = np.tensordot(heard / noise, self.parts, 1)
+        log_prior = self.log_prior + none - 0.5 * len(heard) * math.log(noise)
+        return _Weighed.of(along, self.power / noise, (SIZE * size) ** 2, log_prior)
 
     def noise(self, heard: FloatArray, energy: float, white: float) -> float | None:
         """Return the variance of the noise in what the columns leave; None if it is not white.
@@ -399,7 +417,7 @@ class _Grid:
 
         They are nearly all that a transient between the parts of the grid consists of.
         """
-        own = self.both[:, [part, len(self.decay_1_s) + part]]
+        own = self.rings.both[:, [part, self.ringing + part]]
         # x T_n = (T_{n − 1} + T_{n + 1})/2, and x T_0 = T_1.
         late = np.zeros_like(own)
         late[:-1] = own[1:] / 2
@@ -414,11 +432,86 @@ class _Grid:
         return np.asarray(xx * b[0] ** 2 + 2 * xy * b[0] * b[1] + yy * b[1] ** 2)
 
 
-def _inverse(columns: FloatArray, least: float) -> FloatArray:
-    """Return the inverse of the products of pairs of columns, shape (…, 2, pairs)."""
-    x, y = columns[:, 0], columns[:, 1]
-    xx, xy, yy = (x * x).sum(axis=0) + least, (x * y).sum(axis=0), (y * y).sum(axis=0) + least
+@dataclass(frozen=True, eq=False)
+class _Bent:
+    """What may ring, or be larger than other lines, in a record of tones that holds distortion."""
+
+    ringing: int
+    """Number of parts that may ring. After them come lines that may be larger than others."""
+    log_prior: FloatArray
+    """Logarithm of the prior probability of each part and, last, of none, shape (parts + 1,)."""
+    axes: FloatArray
+    """Axes along which lines are independent, in what the columns without the slow harmonics leave,
+    shape (directions, directions)."""
+    lines: FloatArray
+    """Mean square of lines of unit deviation along each, shape (directions,)."""
+    parts: FloatArray
+    """Cosine and sine of each part along each, shape (directions, 2, parts)."""
+    products: FloatArray
+    """Squared cosine, cosine times sine and squared sine, shape (directions, 3, parts)."""
+    moved: FloatArray
+    """Mean square by which parts, if they are mistaken for tones, move their phasors, per unit of
+    each of the moments of their amplitudes, shape (tones, 3, parts)."""
+
+    @staticmethod
+    def of(grid: _Grid) -> _Bent:
+        of_two, of_three = distortion(grid.tones)
+        of_lines = grid.left.along @ np.hstack([of_two.both, of_three.both])
+        lines, axes = np.linalg.eigh(of_lines @ of_lines.T)
+        parts = np.concatenate([grid.parts, grid.left.parts(of_three.both)], axis=2)
+        parts = np.tensordot(axes.T, parts, 1)
+        prior = [
+            EXPECTED * grid.rings.probability,
+            (1 - EXPECTED) * OUTSTANDING * of_three.probability,
+            np.array([(1 - EXPECTED) * (1 - OUTSTANDING)]),
+        ]
+        return _Bent(
+            grid.ringing,
+            np.log(np.concatenate(prior)),
+            axes,
+            np.maximum(lines, 0.0),
+            parts,
+            np.stack([parts[:, 0] ** 2, parts[:, 0] * parts[:, 1], parts[:, 1] ** 2], axis=1),
+            np.concatenate([grid.moved, _moved(grid.phasors, of_three)], axis=2),
+        )
+
+    def weighed(self, heard: FloatArray, noise: float, size: float, line: float) -> _Weighed:
+        """Return how probable each part is with distortion of one size.
+
+        Args:
+            heard: What is left of the output along each direction of the grid, (directions,).
+            noise: Variance of the noise.
+            size: Deviation of the output.
+            line: Standard deviation of the amplitudes of lines.
+        """
+        heard = heard @ self.axes
+        variance = noise + line**2 * self.lines
+        none = math.log(BENT / len(DISTORTIONS))
+        none -= 0.5 * float((np.log(variance) + heard**2 / variance).sum())
+        prior = np.full(self.parts.shape[2], (SIZE * size) ** 2)
+        prior[self.ringing :] = (LARGER * line) ** 2
+        along = np.tensordot(heard / variance, self.parts, 1)
+        products = np.tensordot(1 / variance, self.products, 1)
+        return _Weighed.of(along, products, prior, self.log_prior + none)
+
+
+def _power(parts: FloatArray) -> FloatArray:
+    """Return products of both columns of pairs with themselves and each other, (3, pairs)."""
+    x, y = parts[:, 0], parts[:, 1]
+    return np.stack([(x * x).sum(axis=0), (x * y).sum(axis=0), (y * y).sum(axis=0)])
+
+
+def _inverse(power: FloatArray, least: float) -> FloatArray:
+    """Return the inverse of such products, to which a least energy is added."""
+    xx, xy, yy = power[0] + least, power[1], power[2] + least
     return np.asarray(np.stack([yy, -xy, xx]) / (xx * yy - xy**2))
+
+
+def _moved(phasors: ComplexArray, parts: Parts) -> FloatArray:
+    """Return by what parts move the phasors of the tones, shape (tones, 3, parts)."""
+    both = (phasors @ parts.both).reshape(len(phasors), 2, -1)
+    x, y = both[:, 0], both[:, 1]
+    return np.stack([np.abs(x) ** 2, 2 * (x * y.conj()).real, np.abs(y) ** 2], axis=1)
 
 
 _kept_grid = lru_cache(RECORDS_KEPT)(_Grid.of)

@@ -74,7 +74,7 @@ def test_the_variance_is_the_mean_square_by_which_transients_as_expected_move_th
         drawn = size * rng.standard_normal(2)
         output = steady + drawn[0] * turning.real + drawn[1] * turning.imag
         noisy = output + NOISE * rng.standard_normal(SAMPLES)
-        found = hidden_transient(noisy, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        found = hidden_transient(noisy, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S)
         assert found is not None
         fits = fit_sinusoids([steady[SETTLE:], noisy[SETTLE:]], OMEGA, STEP_S, 3)
         off.append(np.abs(fits[1].phasors - fits[0].phasors) ** 2)
@@ -100,7 +100,7 @@ def test_what_hardly_decays_within_the_record_is_no_surprise_at_any_frequency_an
         rate = complex(-rng.uniform(0.3, 1.5), rng.uniform(0.0, 22.0)) / seconds
         rings = rng.uniform(0.05, 1.0) * np.exp(rate * times_s + 1j * rng.uniform(0, 2 * np.pi))
         output = steady + rings.real + NOISE * rng.standard_normal(samples)
-        found = hidden_transient(output, omegas, len(omegas), STEP_S, settle)
+        found = hidden_transient(output, omegas, len(omegas), STEP_S, settle, settle * STEP_S)
         assert found is not None
         fits = fit_sinusoids([steady[settle:], output[settle:]], omegas, STEP_S, 3)
         off = np.abs(fits[1].phasors - fits[0].phasors)
@@ -112,7 +112,12 @@ def test_noise_of_a_settled_robot_says_that_hardly_anything_rings() -> None:
     rng = np.random.default_rng(3)
     found = [
         hidden_transient(
-            tones(rng) + NOISE * rng.standard_normal(SAMPLES), OMEGA, len(OMEGA), STEP_S, SETTLE
+            tones(rng) + NOISE * rng.standard_normal(SAMPLES),
+            OMEGA,
+            len(OMEGA),
+            STEP_S,
+            SETTLE,
+            SETTLE * STEP_S,
         )
         for _ in range(60)
     ]
@@ -126,7 +131,7 @@ def test_gusts_are_no_transient() -> None:
         blown = lfilter([1.0], [1.0, -0.98], rng.standard_normal(SAMPLES + 500))[500:]
         output = tones(rng) + 0.3 * blown / float(np.std(blown))
         output += NOISE * rng.standard_normal(SAMPLES)
-        assert hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE) is None
+        assert hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S) is None
 
 
 def test_a_transient_that_outlasts_the_test_is_a_finding_with_its_settling_time() -> None:
@@ -137,7 +142,9 @@ def test_a_transient_that_outlasts_the_test_is_a_finding_with_its_settling_time(
         for _ in range(20):
             ringing = 0.5 * np.exp(-decay * times_s) * np.cos(0.3 * times_s + rng.uniform(0, 6))
             output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
-            found = may_ring(hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE), 3.0)
+            found = may_ring(
+                hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S), 3.0
+            )
             assert found is not None
             settling_s.append(found.value)
         # What is slower than the record is long is told to a factor.
@@ -152,7 +159,7 @@ def test_distortion_between_the_tones_does_not_decay_and_is_no_transient() -> No
         bent = steady**power - np.mean(steady**power)
         output = steady + 0.02 * rng.uniform(0.3, 3.0) * bent / float(np.std(bent))
         output += NOISE * rng.standard_normal(SAMPLES)
-        hidden = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        hidden = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S)
         found.append(may_ring(hidden, 3.0))
     assert sum(one is not None for one in found) <= 1
 
@@ -165,7 +172,7 @@ def test_what_rings_alone_at_the_frequency_of_distortion_is_a_transient() -> Non
         omega_rad_s = 0.5 * harmonic * rng.uniform(0.97, 0.99)
         ringing = 0.1 * np.exp(-0.03 * times_s) * np.cos(omega_rad_s * times_s + rng.uniform(0, 6))
         output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
-        hidden = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        hidden = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S)
         assert hidden is not None
         found.append(may_ring(hidden, 3.0))
     assert np.mean([one is not None for one in found]) > 0.9
@@ -178,5 +185,5 @@ def test_what_decays_at_once_is_not_taken_for_something_slower() -> None:
         decay = rng.uniform(30.0, 60.0) / times_s[-1]
         ringing = np.exp(-decay * times_s) * np.cos(0.3 * times_s + rng.uniform(0, 6))
         output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
-        found = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE)
+        found = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S)
         assert may_ring(found, 1.2 * 3 / decay) is None
