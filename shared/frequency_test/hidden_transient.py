@@ -222,7 +222,7 @@ def _believed(grid: _Grid, cases: Sequence[_Weighed]) -> HiddenTransient:
     most = max(float(case.log_weight.max()) for case in cases)
     weights = [np.exp(case.log_weight - most) for case in cases]
     total = sum(float(weight.sum()) for weight in weights)
-    rings = sum(weight[: grid.ringing] for weight in weights) / total
+    rings = np.sum([weight[: grid.ringing] for weight in weights], axis=0) / total
     variance = np.zeros(len(grid.moved))
     for case, weight in zip(cases, weights, strict=True):
         moved = grid.moved if case is cases[0] else grid.bent.moved
@@ -359,7 +359,7 @@ class _Grid:
     @cached_property
     def log_prior(self) -> FloatArray:
         """Logarithm of the prior probability of each part and, last, of none, (ringing + 1,)."""
-        return np.log(np.append(EXPECTED * self.rings.probability, 1 - EXPECTED))
+        return np.asarray(np.log(np.append(EXPECTED * self.rings.probability, 1 - EXPECTED)))
 
     def left_of(self, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return what is left of an output, shape (count,).
