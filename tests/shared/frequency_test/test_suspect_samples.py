@@ -170,6 +170,23 @@ def test_a_response_that_becomes_another_in_the_middle(
         assert seen.codes["changed"] + seen.codes["unsettled"] == len(SEEDS)
 
 
+@pytest.mark.parametrize("noise_std_m", [0.02, 0.05])
+def test_a_tracker_that_loses_sight_for_some_tenths_of_a_second_is_used_honestly(
+    noise_std_m: float,
+) -> None:
+    seen = Seen()
+    for begins in range(50, 500, 75):
+        first = a_test(TONES[1])[0].first_measured_sample
+        fault = Frozen(kind="frozen", from_sample=first + begins, samples=12)
+        one = over_all_seeds(fault, TONES[1], noise_std_m)
+        assert one.codes["held-samples"] == len(SEEDS)
+        seen.usable += one.usable
+        seen.misses += one.misses
+        seen.errors += one.errors
+    assert seen.usable >= 0.8 * 6 * len(SEEDS)
+    assert_honest(seen)
+
+
 @tones
 def test_a_sensor_that_trembles_where_it_is_stuck(omegas_rad_s: tuple[float, ...]) -> None:
     first = a_test(omegas_rad_s)[0].first_measured_sample
