@@ -19,9 +19,11 @@ class RunOnDisk:
     began: datetime | None
     """Time at which the run began, in UTC; None if it is not known."""
     finished: bool
-    """Whether it has a result; one without may still be running, or be resumed."""
+    """Whether it has a result and no command works on it; any other may go on."""
     size_bytes: int
     """Size of its files."""
+    freed_bytes: int
+    """Size of those that pruning it deletes."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Limits:
 def beyond(limits: Limits, runs: Sequence[RunOnDisk], now: datetime) -> list[RunOnDisk]:
     """Return the runs to be pruned so that the rest is within all limits, oldest first.
 
-    Runs without a result count, but are never among them.
+    Runs that are not finished count, but are never among them, nor are those that have nothing left
+    to delete.
 
     Args:
         limits: Limits on age, number and size of the runs that stay.
@@ -57,6 +60,7 @@ def beyond(limits: Limits, runs: Sequence[RunOnDisk], now: datetime) -> list[Run
         too_many = limits.number is not None and number > limits.number
         too_large = limits.size_bytes is not None and size_bytes > limits.size_bytes
         if run.finished and (too_old or too_many or too_large):
-            pruned.append(run)
-            number, size_bytes = number - 1, size_bytes - run.size_bytes
+            number, size_bytes = number - 1, size_bytes - run.freed_bytes
+            if run.freed_bytes:
+                pruned.append(run)
     return pruned

@@ -41,7 +41,8 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
         why = why_unfinished(runs_root, [run.folder])[run.folder]
         console.print(f"[yellow]{why}[/]")
         if can_reach_again(run.folder) and why == INTERRUPTED:
-            command = Storage(runs_root).resume_command(run.folder.name)
+            storage = Storage.of_run(runs_root, read_configuration(run.folder))
+            command = storage.resume_command(run.folder.name)
             console.print(f"it can be resumed where it stopped:  {command}")
     console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
     if (run.folder / RECORDING).exists():

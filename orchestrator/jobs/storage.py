@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from nufleet.orchestrator.jobs.environment import REPOSITORY_VARIABLE
-from nufleet.orchestrator.repository.address import default_url, name_of
+from nufleet.orchestrator.repository.address import default_url, name_of, parse_url
 from nufleet.orchestrator.repository.errors import LeaseLostError
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.shared.command_line import invocation
@@ -28,6 +29,29 @@ class Storage:
     repository: str | None = None
     """Address of the repository; None for the one in `runs_root`."""
 
+    @staticmethod
+    def of_run(runs_root: Path, configuration: Mapping[str, Any]) -> Storage:
+        """Return the places of an earlier run, without the password of its repository.
+
+        Args:
+            runs_root: Folder in which the run's folder is now.
+            configuration: Configuration of the run.
+        """
+        kept, root = configuration.get("repository"), configuration.get("runs_root")
+        beside = root is not None and kept == name_of(default_url(Path(root)))
+        return Storage(runs_root, None if kept is None or beside else str(kept))
+
+    @property
+    def name(self) -> str:
+        """Address of the repository without a password."""
+        return name_of(self._address)
+
+    @property
+    def exists(self) -> bool:
+        """Whether the repository is there, if it is a file; one on a server is taken to be."""
+        url = parse_url(self._address)
+        return url.get_backend_name() != "sqlite" or Path(str(url.database)).exists()
+
     @property
     def _address(self) -> str:
         return self.repository or default_url(self.runs_root)
@@ -38,7 +62,7 @@ class Storage:
 
     def document(self) -> dict[str, str]:
         """Return both places for a run's configuration, without a password."""
-        return {"runs_root": str(self.runs_root), "repository": name_of(self._address)}
+        return {"runs_root": str(self.runs_root), "repository": self.name}
 
     def resume_command(self, run: str) -> str:
         """Return the command line that resumes a run."""
@@ -48,7 +72,7 @@ class Storage:
         # An address is printed without its password and could not be typed again; one that comes
         # from the environment need not be, since the environment still holds it.
         if self.repository not in (None, os.environ.get(REPOSITORY_VARIABLE)):
-            words += ["--repository", name_of(self._address)]
+            words += ["--repository", self.name]
         return f"{invocation()} {shlex.join(words)}"
 
     @contextmanager

@@ -5,7 +5,9 @@ Only its user may read it.
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import platform
 import re
 import shutil
@@ -69,6 +71,7 @@ class RunFolder:
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
         self.path = _reopened(root / name) if goes_on else _create(root, f"{stamp}-{name}")
+        self._held: int | None = _hold(self.path)
         self._samples: pyarrow.parquet.ParquetWriter | None = None
 
     def __enter__(self) -> RunFolder:
@@ -86,10 +89,13 @@ class RunFolder:
         return self.path / RECORDING
 
     def close(self) -> None:
-        """Complete the file of samples."""
+        """Complete the file of samples, and let the folder go."""
         samples, self._samples = self._samples, None
+        held, self._held = self._held, None
         if samples is not None:
             samples.close()
+        if held is not None:
+            os.close(held)
 
     @property
     def study_id(self) -> str:
@@ -156,6 +162,31 @@ class RunFolder:
     def _write(self, name: str, text: str) -> None:
         """Write a file atomically: a reader finds either all of it or none."""
         write_privately(self.path / name, (text + "\n").encode())
+
+
+def is_in_use(folder: Path) -> bool:
+    """Return whether a command, of whatever process, works on a run's folder at this moment."""
+    with system_errors_as(InvalidInputError, f"{folder} cannot be read"):
+        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(held)
+    return False
+
+
+def _hold(folder: Path) -> int:
+    """Hold a folder until the file descriptor that is returned is closed, or the process ends."""
+    with system_errors_as(InvalidInputError, f"{folder} cannot be held"):
+        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(held)
+            raise
+    return held
 
 
 def study_id_of(folder: Path) -> str:

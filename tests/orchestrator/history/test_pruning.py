@@ -14,7 +14,7 @@ from nufleet.shared.errors import InvalidInputError
 DAY = timedelta(days=1)
 UNFINISHED = 1
 RUNS = [
-    RunOnDisk(Path(f"run-{number}"), NOON + number * DAY, number != UNFINISHED, 10)
+    RunOnDisk(Path(f"run-{number}"), NOON + number * DAY, number != UNFINISHED, 10, 10)
     for number in range(5)
 ]
 
@@ -43,7 +43,7 @@ def test_the_oldest_finished_runs_go_until_the_rest_is_within_all_limits(
 
 
 def test_a_run_of_unknown_age_is_not_old() -> None:
-    (found,) = [RunOnDisk(Path("run"), None, True, 10)]
+    (found,) = [RunOnDisk(Path("run"), None, True, 10, 10)]
     assert beyond(Limits(age=DAY), [found], NOON) == []
     assert beyond(Limits(number=0), [found], NOON) == [found]
 
@@ -51,3 +51,9 @@ def test_a_run_of_unknown_age_is_not_old() -> None:
 def test_pruning_without_a_limit_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="--days, --most or --megabytes"):
         Limits()
+
+
+def test_runs_that_lose_their_pictures_alone_free_no_more_than_these_and_only_once() -> None:
+    small, large = (RunOnDisk(Path("run"), NOON, True, 10, freed) for freed in (0, 6))
+    assert beyond(Limits(number=1), [small, large, large], NOON) == [large]
+    assert beyond(Limits(size_bytes=20), [small, large, large], NOON) == [large, large]

@@ -10,8 +10,10 @@ import pytest
 from run_records import NOON, a_record
 
 from nufleet.orchestrator.jobs.prune import PruneCommand, prune_and_print
+from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.repository.study_store import StudyStore
 from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.shared.errors import InvalidInputError
 
 OLD, INTERRUPTED, NEW = "20260102T120000Z-lab", "20260103T120000Z-lab", "20260104T120000Z-lab"
 
@@ -77,3 +79,42 @@ def test_samples_can_stay_where_only_pictures_take_room(runs: Path, forgotten: l
     assert {path.name for path in (runs / OLD).iterdir()} == {"config.json", "results.json"}
     assert (runs / INTERRUPTED / "run.rrd").exists()
     assert forgotten == []
+
+
+def test_a_run_that_a_command_works_on_stays_although_it_has_a_result(
+    runs: Path, forgotten: list[str]
+) -> None:
+    with RunFolder(runs, NEW, goes_on=True):
+        prune_and_print(PruneCommand(runs_root=runs, most=0, delete=True))
+        assert names(runs) == {INTERRUPTED, NEW}
+    prune_and_print(PruneCommand(runs_root=runs, most=0, delete=True))
+    assert names(runs) == {INTERRUPTED}
+
+
+def test_pictures_that_are_gone_already_are_not_deleted_again(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = PruneCommand(runs_root=runs, most=0, delete=True, keep_samples=True)
+    prune_and_print(command)
+    assert "deleted: recordings and plots of 2 of 3 runs" in capsys.readouterr().err
+    prune_and_print(command)
+    assert "nothing to delete" in capsys.readouterr().err
+
+
+def test_samples_are_deleted_where_the_run_stored_them(runs: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.sqlite"
+    with RunFolder(runs, "else", now=NOON) as folder:
+        folder.write_configuration({"kind": "rank", "repository": f"sqlite:///{other}"})
+        folder.write_record(a_record(folder.path))
+    command = PruneCommand(runs_root=runs, most=0, delete=True)
+    with pytest.raises(InvalidInputError, match=r"other.sqlite.*name it with --repository"):
+        prune_and_print(command)
+    assert folder.path.exists()
+    Storage(runs, str(other)).open().close()
+    prune_and_print(command)
+    assert not folder.path.exists()
+
+
+def test_an_age_that_no_run_can_have_deletes_none(runs: Path) -> None:
+    prune_and_print(PruneCommand(runs_root=runs, days=1e300, delete=True))
+    assert names(runs) == {OLD, INTERRUPTED, NEW}
