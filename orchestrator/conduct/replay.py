@@ -9,7 +9,7 @@ is refused rather than mixed in.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from nufleet.orchestrator.repository.records import TrialRecord, TrialStatus
 from nufleet.orchestrator.study.interface import Question, Report, Study
@@ -147,6 +147,22 @@ def resume(study_id: str, study: Study, trials: Sequence[TrialRecord]) -> Resume
 
 
 _Attempts = dict[tuple[int, str], list[TrialRecord]]
+
+
+def tried_again(trials: Sequence[TrialRecord]) -> tuple[TrialRecord, ...]:
+    """Return the trials as if those that were given up in the last round were to be repeated.
+
+    Args:
+        trials: All stored trials of a study.
+    """
+    last = max((trial.intent.iteration for trial in trials), default=0)
+
+    def again(trial: TrialRecord) -> TrialRecord:
+        if trial.intent.iteration != last or not trial.given_up:
+            return trial
+        return replace(trial, retry=trial.intent.excitation, interrupted=True)
+
+    return tuple(map(again, trials))
 
 
 def round_of(study_id: str, question: Question, stored: _Attempts | None = None) -> OpenRound:

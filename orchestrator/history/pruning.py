@@ -19,7 +19,7 @@ class RunOnDisk:
     began: datetime | None
     """Time at which the run began, in UTC; None if it is not known."""
     finished: bool
-    """Whether it has a result and no command works on it; any other may go on."""
+    """Whether it has a result and no command works on it; any other may continue."""
     size_bytes: int
     """Size of its files."""
     freed_bytes: int

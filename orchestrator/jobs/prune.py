@@ -76,8 +76,8 @@ def prune_and_print(command: PruneCommand) -> None:
     total = f"{what}{len(pruned)} of {len(found)} runs, {freed_mb:.1f} MB"
     if not pruned:
         click.echo(
-            f"nothing to delete: all {len(found)} runs are within the limits, may still go on, or "
-            "hold nothing but what is kept",
+            f"nothing to delete: all {len(found)} runs are within the limits, may still "
+            "continue, or hold nothing but what is kept",
             err=True,
         )
     elif command.delete:

@@ -13,6 +13,7 @@ from nufleet.orchestrator.conduct.first_round import outlook
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy, prepare_again
 from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
 from nufleet.orchestrator.conduct.replay import resume as replay
+from nufleet.orchestrator.conduct.replay import tried_again
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.flights.planned import Outlook
 from nufleet.orchestrator.history.catalogue import read_run
@@ -26,7 +27,6 @@ from nufleet.orchestrator.repository.records import (
     StudyRecord,
     StudyStatus,
     TrialRecord,
-    TrialStatus,
 )
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import (
@@ -36,6 +36,7 @@ from nufleet.orchestrator.runs.folder import (
     read_configuration,
     study_id_of,
 )
+from nufleet.orchestrator.runs.headline import Headline, write_headline
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Document, validation_errors_as
@@ -95,10 +96,10 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
     """Resume a ranking and return its record, as stored in its folder; see `resume`."""
     with Opening(command, console) as run:
         path = _interrupted_run(command, run.repository)
-        study = _open_study(path, run.repository)
-        reach = _reach(command, path)
+        study = _unfinished(path, run.repository)
+        reach, trials = _reach(command, path), _trials(study, run.repository)
         specs, untestable = recipe_of(study).specs, recipe_of(study).untestable
-        gone = {*untestable, *_given_up(run.repository.studies.trials(study.study_id))}
+        gone = {*untestable, *(trial.intent.robot for trial in trials if trial.given_up)}
         needed = tuple(robot for robot in specs if robot not in gone)
         console.print(f"resuming {path.name}")
         fleet, _, there = run.reach(FleetChoice.again(reach), needed, wait_s=command.wait_s)
@@ -107,19 +108,28 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         run.go_on(
             path,
             {robot: ready.descriptions[robot] for robot in needed},
-            lambda: _open_round(study, ready, run.repository),
+            lambda: _open_round(study, ready, run.repository, trials),
         )
         run.say_how_to_resume()
         run.record(live=command.live, draws=command.draws)
         # Read again: the orchestrator that held the robots until now may have ended the study.
-        study = _open_study(path, run.repository)
+        had_failed, study = study.status is StudyStatus.FAILED, _unfinished(path, run.repository)
+        if study.status is StudyStatus.FAILED:
+            if not had_failed:
+                raise InvalidInputError(f"{path.name} has failed meanwhile: {study.reason}")
+            study = _reopened(study, run.repository)
+            write_headline(path, Headline())
         return show_study(run, ready, study, rehearses=command.rehearses)
 
 
-def _open_round(study: StudyRecord, ready: ReadyStudy, repository: Repository) -> Outlook:
+def _open_round(
+    study: StudyRecord,
+    ready: ReadyStudy,
+    repository: Repository,
+    trials: tuple[TrialRecord, ...],
+) -> Outlook:
     """Return what the robots have left to do of the round that was interrupted."""
-    studies = repository.studies
-    at = replay(study.study_id, make_study(study, studies), studies.trials(study.study_id))
+    at = replay(study.study_id, make_study(study, repository.studies), trials)
     if at.open is None:
         return Outlook(headline="all tests of the study are complete", motions=())
     specs = {robot: one.spec for robot, one in ready.descriptions.items()}
@@ -170,12 +180,37 @@ def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:
     if not runs:
         raise InvalidInputError(
             f"no run in {command.runs_root} was interrupted; name one that `nufleet runs list` "
-            f"shows, or the repository that keeps it (this is {repository.name})"
+            "shows, also to try again what made it fail, or the repository that keeps it (this is "
+            f"{repository.name})"
         )
     return runs[-1]
 
 
-def _open_study(path: Path, repository: Repository) -> StudyRecord:
+def _trials(study: StudyRecord, repository: Repository) -> tuple[TrialRecord, ...]:
+    """Return the trials of a study; of one that failed, as if those that ended it were repeated."""
+    trials = repository.studies.trials(study.study_id)
+    return tried_again(trials) if study.status is StudyStatus.FAILED else trials
+
+
+def _reopened(study: StudyRecord, repository: Repository) -> StudyRecord:
+    """Store that a study which has failed continues; return it as it is then."""
+    studies = repository.studies
+    trials = studies.trials(study.study_id)
+    repeated = [
+        trial.intent.goal_id
+        for trial, again in zip(trials, tried_again(trials), strict=True)
+        if again is not trial
+    ]
+    studies.reopen(study.study_id, repeated)
+    return studies.study(study.study_id)
+
+
+def _unfinished(path: Path, repository: Repository) -> StudyRecord:
+    """Return the study of a run, which is open or has failed since robots were not there.
+
+    What a person has mended meanwhile is tried again: a robot that was lost or stopped, or whose
+    tests gave no response.
+    """
     try:
         study = repository.studies.study(study_id_of(path))
     except UnknownRecordError as error:
@@ -186,17 +221,10 @@ def _open_study(path: Path, repository: Repository) -> StudyRecord:
     if study.status is StudyStatus.COMPLETE:
         raise InvalidInputError(f"{path.name} is complete: `nufleet runs show {path.name}`")
     if study.status is StudyStatus.FAILED:
-        raise InvalidInputError(f"{path.name} has failed: {study.reason}; start a new study")
+        trials = repository.studies.trials(study.study_id)
+        if tried_again(trials) == trials:
+            raise InvalidInputError(f"{path.name} has failed: {study.reason}; start a new study")
     return study
-
-
-def _given_up(trials: tuple[TrialRecord, ...]) -> set[str]:
-    """Return the robots that the study has given up, after a failure that was not retried."""
-    return {
-        trial.intent.robot
-        for trial in trials
-        if trial.status in (TrialStatus.FAILED, TrialStatus.LOST) and trial.retry is None
-    }
 
 
 def _check_there(needed: tuple[str, ...], there: tuple[str, ...], study: StudyRecord) -> None:

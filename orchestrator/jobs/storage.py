@@ -12,6 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
+from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.jobs.environment import REPOSITORY_VARIABLE
 from nufleet.orchestrator.repository.address import default_url, name_of, parse_url
 from nufleet.orchestrator.repository.errors import LeaseLostError
@@ -77,10 +78,14 @@ class Storage:
 
     @contextmanager
     def saying_how_to_resume(self, console: Console, run: str) -> Iterator[None]:
-        """Print how to resume the run if Ctrl-C or an error other than the study's own ends it."""
+        """Print how to resume the run if Ctrl-C or an error ends it that may pass or be mended."""
         try:
             yield
-        except (StudyError, LeaseLostError):
+        except (ResumeError, LeaseLostError):
+            raise
+        except StudyError:
+            again = self.resume_command(run)
+            console.print(f"once that is mended, what failed is tried again with:  {again}")
             raise
         except (KeyboardInterrupt, NufleetError, OSError):
             console.print(f"it can be resumed where it stopped:  {self.resume_command(run)}")

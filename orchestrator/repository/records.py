@@ -129,6 +129,11 @@ class TrialRecord:
     response: FrequencyResponse | None = None
     """Response of a complete test, even if it is not usable."""
 
+    @property
+    def given_up(self) -> bool:
+        """Whether it ended without a usable response, and no attempt is to follow."""
+        return self.status in (TrialStatus.FAILED, TrialStatus.LOST) and self.retry is None
+
 
 @dataclass(frozen=True)
 class TrialEnd:

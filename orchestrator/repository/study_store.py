@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import JsonValue
@@ -89,6 +89,20 @@ class StudyStore:
             found = connection.execute(update).rowcount
         if not found:
             raise UnknownRecordError(f"there is no study {study_id}")
+
+    def reopen(self, study_id: str, goal_ids: Sequence[str]) -> None:
+        """Store that a study which has failed continues, with new attempts at some of its tests.
+
+        Args:
+            study_id: Id of the study.
+            goal_ids: Goals of the trials that were given up and are to be repeated.
+        """
+        again = TRIALS.update().where(TRIALS.c.goal_id.in_(goal_ids))
+        again = again.values(retry=TRIALS.c.excitation, interrupted=True)
+        opened = STUDIES.update().where(STUDIES.c.study_id == study_id)
+        with self._database.write() as connection:
+            connection.execute(again)
+            connection.execute(opened.values(status=StudyStatus.OPEN, reason=""))
 
     def study(self, study_id: str) -> StudyRecord:
         """Return a study; raises UnknownRecordError."""

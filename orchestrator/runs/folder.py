@@ -89,7 +89,7 @@ class RunFolder:
         return self.path / RECORDING
 
     def close(self) -> None:
-        """Complete the file of samples, and let the folder go."""
+        """Complete the file of samples, and hold the folder no longer."""
         samples, self._samples = self._samples, None
         held, self._held = self._held, None
         if samples is not None:
@@ -165,7 +165,7 @@ class RunFolder:
 
 
 def is_in_use(folder: Path) -> bool:
-    """Return whether a command, of whatever process, works on a run's folder at this moment."""
+    """Return whether a command, in this process or another, is working on a run's folder."""
     with system_errors_as(InvalidInputError, f"{folder} cannot be read"):
         held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:

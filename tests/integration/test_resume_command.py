@@ -128,6 +128,32 @@ def test_a_killed_ranking_goes_on_with_the_robots_that_it_left(
     assert "is complete" in again.stderr
 
 
+def test_a_ranking_that_failed_as_robots_were_stopped_is_tried_again_once_they_are_released(
+    lab: Workplace, tmp_path: Path
+) -> None:
+    database = tmp_path / "runs" / "nufleet.sqlite"
+    join = ("rank", "--connect", lab.endpoint)
+    with under_way_when(database, *join, *STUDY, cwd=tmp_path) as failing:
+        stopped = nufleet("stop", "--all", "--connect", lab.endpoint, cwd=tmp_path)
+        assert stopped.returncode == 0, stopped.stderr
+        _, said = failing.communicate(timeout=PATIENCE_S)
+        assert failing.returncode == 1
+    run = the_run(tmp_path / "runs")
+    words = " ".join(said.split())
+    assert "what failed is tried again with: " in words
+    assert f" runs resume {run.name}" in words
+    while_stopped = nufleet("runs", "resume", run.name, cwd=tmp_path)
+    assert while_stopped.returncode == 1
+    for robot in ("target", "near", "far"):
+        released = nufleet("release", robot, "--connect", lab.endpoint, cwd=tmp_path)
+        assert released.returncode == 0, released.stderr
+    done = nufleet("runs", "resume", run.name, *AT_ONCE, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lab.check(json.loads(done.stdout))
+    listed = nufleet("runs", "list", cwd=tmp_path)
+    assert "failed" not in listed.stdout
+
+
 def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
     lab: Workplace, tmp_path: Path, typed: Typed
 ) -> None:

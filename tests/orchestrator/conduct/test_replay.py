@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from nufleet.orchestrator.conduct.replay import OpenTest, ResumeError, resume
+from nufleet.orchestrator.conduct.replay import OpenTest, ResumeError, resume, tried_again
 from nufleet.orchestrator.repository.records import (
     RobotRecord,
     StudyRecord,
@@ -326,3 +326,22 @@ def test_a_study_that_could_not_go_on_cannot_go_on_either_when_resumed(
     failed = {"status": TrialStatus.FAILED, "reason": "crashed", "retry": None, "response": None}
     with pytest.raises(StudyError, match="target target cannot be tested: crashed"):
         resume("run-1", study(), changed(cuts, "run-1.1.target.1", **failed))
+
+
+def test_a_study_that_could_not_go_on_asks_again_for_what_failed_if_a_person_wants_it(
+    cuts: list[tuple[TrialRecord, ...]],
+) -> None:
+    lost = {"status": TrialStatus.LOST, "reason": "gone", "retry": None, "response": None}
+    trials = [t for t in changed(cuts, "run-1.1.target.1", **lost) if t.intent.iteration == 1]
+    resumed = resume("run-1", study(), tried_again(trials))
+    assert resumed.open is not None
+    (again,) = [test for test in resumed.open.tests if test.robot == "target"]
+    assert (again.goal_id, again.failures) == ("run-1.1.target.2", 0)
+    told = resumed.open.answers.keys()
+    assert all(robot in told or robot == "target" for robot in resumed.open.question.tests)
+
+
+def test_trials_of_earlier_rounds_and_what_was_measured_are_not_asked_again(
+    cuts: list[tuple[TrialRecord, ...]],
+) -> None:
+    assert tried_again(cuts[-1]) == cuts[-1]
