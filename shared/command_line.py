@@ -12,6 +12,7 @@ import errno
 import gc
 import logging
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -148,6 +149,16 @@ def spare_processor_time() -> None:
     atexit.register(gc.freeze)
 
 
+def open_all_files_allowed() -> None:
+    """Raise the number of files that this process may open to the largest that it is allowed.
+
+    Many systems allow 1024 unless a program asks for more, as some can handle no larger numbers; an
+    agent of 300 robots opens more.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -155,6 +166,7 @@ def main() -> NoReturn:
             signal.signal(number, _interrupt)
     try:
         spare_processor_time()
+        open_all_files_allowed()
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:
         error.show()

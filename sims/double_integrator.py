@@ -24,6 +24,9 @@ STATE_NAMES = ("position", "velocity")
 REST_TOLERANCE = 1e-6
 """Largest position in m and speed in m/s at rest, not counting the effect of noise."""
 
+NOISE_MAX_M = 1e6
+"""Largest standard deviation of the noise, far beyond all that is sensible."""
+
 
 class DoubleIntegratorSettings(Strict):
     """Parameters of one robot; the paper's four robots differ in (α, β) and share the rest."""
@@ -43,7 +46,7 @@ class DoubleIntegratorSettings(Strict):
     sample_time_s: Positive = 0.015
     """Sample time T_s of plant and controller."""
 
-    noise_std_m: NonNegative = 0.0
+    noise_std_m: Annotated[NonNegative, Field(le=NOISE_MAX_M)] = 0.0
     """Standard deviation of the white measurement noise; the controller acts on the noisy output.
     """
 

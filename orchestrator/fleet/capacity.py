@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,11 @@ ROBOT_BYTES = 5 * 2**18
 """Memory of a robot in such a process, and of its session in the router."""
 
 
+PROCESS_FILES = 100
+ROBOT_FILES = 4
+"""Files that an agent process keeps open without its robots, and for each of them."""
+
+
 @dataclass(frozen=True)
 class Machine:
     """What a machine has left for a fleet."""
@@ -26,13 +32,16 @@ class Machine:
     """Number of cores that this process may use."""
     memory_bytes: int
     """Memory that is free, or can be freed."""
+    open_files: int
+    """Number of files that a process may open."""
 
     @classmethod
     def this(cls) -> Machine:
         """Return what this machine has left."""
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         (available_kib,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
-        return cls(len(os.sched_getaffinity(0)), int(available_kib) * 1024)
+        _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
+        return cls(len(os.sched_getaffinity(0)), int(available_kib) * 1024, files)
 
     def room(self, *, processes: int | None) -> int:
         """Return the number of the simplest robots that fit; those of a simulator need more.
@@ -41,12 +50,13 @@ class Machine:
             processes: Number of agent processes that they share; None for one each.
         """
         left = self.memory_bytes
-        each = ROBOT_BYTES
+        each, most = ROBOT_BYTES, self.cores * ROBOTS_PER_CORE
         if processes is None:
             each += PROCESS_BYTES
         else:
             left -= processes * PROCESS_BYTES
-        return max(0, min(self.cores * ROBOTS_PER_CORE, left // each))
+            most = min(most, processes * ((self.open_files - PROCESS_FILES) // ROBOT_FILES))
+        return max(0, min(most, left // each))
 
 
 def check_room(robots: int, *, processes: int | None, machine: Machine) -> None:
@@ -63,8 +73,9 @@ def check_room(robots: int, *, processes: int | None, machine: Machine) -> None:
     room = machine.room(processes=processes)
     if robots > room:
         raise InvalidInputError(
-            f"{robots} robots are too many for this machine: with {machine.cores} cores and "
-            f"{machine.memory_bytes / 1e9:.1f} GB of free memory it has room for about {room}. "
+            f"{robots} robots are too many for this machine: with {machine.cores} cores, "
+            f"{machine.memory_bytes / 1e9:.1f} GB of free memory and {machine.open_files} open "
+            f"files per process (`ulimit -Hn`) it has room for about {room}. "
             "Serve the others on other machines, with `nufleet agent --robot` and one router for "
             "all"
         )

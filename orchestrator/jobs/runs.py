@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -15,7 +16,13 @@ from nufleet.orchestrator.jobs.resume import can_reach_again
 from nufleet.orchestrator.jobs.run_list import INTERRUPTED, result_document, why_unfinished
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stdout_console
-from nufleet.orchestrator.runs.folder import RECORDING, find_run, read_configuration
+from nufleet.orchestrator.runs.folder import (
+    RECORDING,
+    find_run,
+    is_in_use,
+    read_configuration,
+    study_id_of,
+)
 from nufleet.shared.command_line import invocation
 
 
@@ -38,15 +45,28 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     for part in run_tables(run):
         console.print(part)
     if run.result is None:
-        why = why_unfinished(runs_root, [run.folder])[run.folder]
-        console.print(f"[yellow]{why}[/]")
-        if can_reach_again(run.folder) and why == INTERRUPTED:
-            storage = Storage.of_run(runs_root, read_configuration(run.folder))
-            command = storage.resume_command(run.folder.name)
-            console.print(f"it can be resumed where it stopped:  {command}")
+        for line in _unfinished(runs_root, run.folder):
+            console.print(line)
     console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
     if (run.folder / RECORDING).exists():
         console.print(f"open the recording with:  {invocation()} view {run.folder}")
+
+
+def _unfinished(runs_root: Path, folder: Path) -> Iterator[str]:
+    """Say why a run has no result, and how to continue it."""
+    if is_in_use(folder):
+        yield "[yellow]it is still running[/]"
+        return
+    why = why_unfinished(runs_root, [folder])[folder]
+    configuration = read_configuration(folder)
+    storage = Storage.of_run(runs_root, configuration)
+    if configuration.get("kind", "rank") == "rank" and storage.lacks(study_id_of(folder)):
+        yield "[yellow]it was interrupted before anything moved[/]: run it again"
+        return
+    yield f"[yellow]{why}[/]"
+    if can_reach_again(folder):
+        again = "it can be resumed where it stopped" if why == INTERRUPTED else "try it again"
+        yield f"{again}:  {storage.resume_command(folder.name)}"
 
 
 def compare_and_print(runs_root: Path, first: str, second: str, *, as_json: bool) -> None:

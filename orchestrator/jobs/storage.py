@@ -14,8 +14,8 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.jobs.environment import REPOSITORY_VARIABLE
-from nufleet.orchestrator.repository.address import default_url, name_of, parse_url
-from nufleet.orchestrator.repository.errors import LeaseLostError
+from nufleet.orchestrator.repository.address import default_url, is_file, name_of, parse_url
+from nufleet.orchestrator.repository.errors import LeaseLostError, UnknownRecordError
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.shared.command_line import invocation
 from nufleet.shared.errors import NufleetError, StudyError
@@ -50,8 +50,20 @@ class Storage:
     @property
     def exists(self) -> bool:
         """Whether the repository is there, if it is a file; one on a server is taken to be."""
-        url = parse_url(self._address)
-        return url.get_backend_name() != "sqlite" or Path(str(url.database)).exists()
+        return not is_file(self._address) or Path(str(parse_url(self._address).database)).exists()
+
+    def lacks(self, study_id: str) -> bool:
+        """Whether the repository is a file that does not hold this study."""
+        if not is_file(self._address):
+            return False
+        if not self.exists:
+            return True
+        with self.open() as repository:
+            try:
+                repository.studies.study(study_id)
+            except UnknownRecordError:
+                return True
+        return False
 
     @property
     def _address(self) -> str:

@@ -55,6 +55,11 @@ def parse_url(address: str) -> URL:
     raise RepositoryUrlError(f"{shown(url)}: {expected}")
 
 
+def is_file(address: str) -> bool:
+    """Return whether a database is a file, not a server; raises RepositoryUrlError."""
+    return parse_url(address).get_backend_name() == "sqlite"
+
+
 def name_of(address: str) -> str:
     """Return a database's address without a password; raises RepositoryUrlError."""
     return shown(parse_url(address))

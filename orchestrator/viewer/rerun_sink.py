@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
 from pathlib import Path
@@ -80,8 +81,9 @@ class RerunSink:
         return sink
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
-        """Draw events; raises NufleetError or RuntimeError when the file or the server is gone."""
-        self._before_write()
+        """Draw events; raises NufleetError when the file or the server is gone."""
+        with _gone():
+            self._before_write()
         draws: list[Callable[[], None]] = [partial(self._drawing.draw, event) for event in events]
         _draw_each([*draws, *self._drawing.rest])
         self._lay_out()
@@ -96,11 +98,21 @@ class RerunSink:
     def close(self) -> None:
         """Draw the end, flush the stream and disconnect it, which also writes a file's footer."""
         try:
-            self._before_write()
-            _draw_each([self._drawing.end])
-            self._stream.flush()
+            with _gone():
+                self._before_write()
+                _draw_each([self._drawing.end])
+                self._stream.flush()
         finally:
             self._stream.disconnect()
+
+
+@contextmanager
+def _gone() -> Iterator[None]:
+    """Name what Rerun says in a RuntimeError: its file or its server takes nothing more."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise NufleetError(f"its disk is full, or its file or server gone ({error})") from error
 
 
 def _draw_each(draws: Sequence[Callable[[], None]]) -> None:

@@ -117,7 +117,7 @@ class FleetFile(Strict):
     """Seed of the random generators of all simulated noise."""
     study: StudyDefaults | None = None
     """Defaults for a ranking of this fleet."""
-    robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
+    robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=100_000)]
     """The robots, by name."""
     router: RouterEntry | None = None
     """Router of a closed fleet; None for a fleet without certificates."""

@@ -7,15 +7,19 @@ import pytest
 from nufleet.orchestrator.fleet.capacity import Machine, check_room
 from nufleet.shared.errors import InvalidInputError
 
-LAPTOP = Machine(cores=2, memory_bytes=8 * 10**9)
-BOARD = Machine(cores=4, memory_bytes=3 * 10**8)
+LAPTOP = Machine(cores=2, memory_bytes=8 * 10**9, open_files=2**19)
+BOARD = Machine(cores=4, memory_bytes=3 * 10**8, open_files=4096)
+STRICT = Machine(cores=2, memory_bytes=8 * 10**9, open_files=1024)
 
 
 @pytest.mark.parametrize(
     ("machine", "processes", "room"),
-    [(LAPTOP, 4, 1000), (LAPTOP, None, 100), (BOARD, 2, 108), (BOARD, None, 3), (BOARD, 9, 0)],
+    [
+        *((LAPTOP, 4, 1000), (LAPTOP, None, 100), (BOARD, 2, 108), (BOARD, None, 3), (BOARD, 9, 0)),
+        *((STRICT, 2, 462), (STRICT, None, 100)),
+    ],
 )
-def test_cores_and_memory_limit_the_number_of_robots(
+def test_cores_memory_and_open_files_limit_the_number_of_robots(
     machine: Machine, processes: int | None, room: int
 ) -> None:
     check_room(room, processes=processes, machine=machine)

@@ -27,6 +27,7 @@ from nufleet.orchestrator.history.report_page import leave_report
 from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.jobs.run_list import list_and_print
 from nufleet.orchestrator.jobs.runs import show_and_print
+from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.runs.folder import RESULTS, RunFolder, study_id_of
@@ -220,3 +221,23 @@ def test_a_damaged_ranking_is_not_passed_over_for_an_older_one(tmp_path: Path) -
     (newest / RESULTS).write_text("{}")
     with pytest.raises(InvalidInputError, match=newest.name):
         latest_ranking(tmp_path, "lab", "target")
+
+
+def test_a_run_is_shown_as_running_for_as_long_as_a_command_works_on_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with RunFolder(tmp_path, "lab", now=NOON) as folder:
+        folder.write_configuration({"kind": "rank", "fleet": "lab"})
+        show_and_print(tmp_path, folder.path.name, as_json=False)
+        assert "it is still running" in capsys.readouterr().out
+    show_and_print(tmp_path, folder.path.name, as_json=False)
+    assert "it was interrupted before anything moved" in capsys.readouterr().out
+
+
+def test_a_run_that_is_kept_elsewhere_is_resumed_from_there(tmp_path: Path) -> None:
+    beside = {"runs_root": "runs", "repository": "sqlite:///runs/nufleet.sqlite"}
+    assert Storage.of_run(tmp_path, beside) == Storage(tmp_path)
+    elsewhere = {"runs_root": "runs", "repository": f"sqlite:///{tmp_path}/lab.sqlite"}
+    storage = Storage.of_run(tmp_path, elsewhere)
+    assert storage.resume_command("run").endswith(f"--repository sqlite:///{tmp_path}/lab.sqlite")
+    assert storage.lacks("run")
