@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -149,3 +150,13 @@ def test_a_list_without_commas_is_refused_with_the_way_to_write_it() -> None:
     said = refusal("rank", "--fleet", "paper_linear", "--axes", "x", "y")
     assert "unexpected: y. Write a list with commas and without spaces: --axes NAME,NAME" in said
     assert "unexpected extra argument (y)" in refusal("rank", "--target", "x", "y")
+
+
+def test_a_command_may_open_all_the_files_that_its_system_allows() -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (before[0] // 2, before[1]))
+    try:
+        command_line.open_all_files_allowed()
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (before[1], before[1])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)

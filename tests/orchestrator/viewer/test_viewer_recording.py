@@ -11,8 +11,9 @@ from recording_reader import column, entities, scalars
 from study_events import SAMPLE_TIME_S, iteration_event, samples_event, state_event
 
 from nufleet.orchestrator.viewer.events import MessageEvent, ViewerEvent
+from nufleet.orchestrator.viewer.rerun_sink import RerunSink
 from nufleet.orchestrator.viewer.writer import RerunWriter
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, NufleetError
 
 
 def record(path: Path, *events: ViewerEvent) -> Path:
@@ -161,3 +162,17 @@ def test_a_study_that_lost_its_target_is_still_drawn(tmp_path: Path) -> None:
     assert column(path, "/psi/worst/s2/median", "Scalars:scalars") == [[0.04]]
     assert "/sphere/points/s1" in entities(path)
     assert "/sphere/chords/s1" not in entities(path)
+
+
+def test_a_recording_whose_file_takes_nothing_more_says_so_in_one_error(tmp_path: Path) -> None:
+    sink = RerunSink.to_file("run", tmp_path / "run.rrd")
+
+    def full() -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    broken = RerunSink(sink._stream, full)
+    with pytest.raises(NufleetError, match=r"its disk is full.*File-writer thread"):
+        broken.write([iteration_event(1)])
+    with pytest.raises(NufleetError, match="its disk is full"):
+        broken.close()
+    sink.close()
