@@ -41,9 +41,6 @@ DEGREES_OF_A_VARIANCE = 2.0
 DOUBT_STAYS = 10.0
 """Factor by which a doubt that no test removes outweighs what a test of average noise tells."""
 
-WHOLE = 0.9
-"""Highest tone, as a multiple of the band's upper end, from which a test is one of all of it."""
-
 VARIANCE_MIN = 1e-10
 """Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
 be lost to rounding."""
@@ -259,16 +256,25 @@ class RobotKnowledge:
         """Lowest tested frequency in rad/s; infinite before the first test."""
         return min((float(t.omega_rad_s.min()) for t in self._tones), default=math.inf)
 
-    @property
-    def spacing_rad_s(self) -> float:
-        """Least distance in rad/s between the tones of a test of the whole band, infinite before
-        the first one."""
-        whole = [
-            tone_spacing(t.omega_rad_s)
-            for t in self._tones
-            if len(t.z) > 1 and t.omega_rad_s.max() >= WHOLE * self._omega_max_rad_s
-        ]
-        return min(whole, default=math.inf)
+    def spacing_rad_s(self, band_rad_s: tuple[float, float]) -> float:
+        """Return the least distance in rad/s between the tones of a test of a whole band.
+
+        Such a test leaves out no more at the ends of the band than between two tones. Of several
+        axes that share its tones, one may play none near an end.
+
+        Args:
+            band_rad_s: Lowest and highest frequency in rad/s.
+
+        Returns:
+            The distance, infinite before the first test.
+        """
+        low, high = band_rad_s
+        least = math.inf
+        for omega in (np.sort(t.omega_rad_s) for t in self._tones if len(t.z) > 1):
+            gap = float(np.diff(omega).max())
+            if omega[0] - gap <= low and omega[-1] + gap >= high:
+                least = min(least, tone_spacing(omega))
+        return least
 
     @property
     def amplitude(self) -> float | None:

@@ -158,7 +158,9 @@ class Looks:
             periods, share = settings.first_periods, settings.share_of_settling
             look = first_look(self._plan.band_rad_s, slow, periods, share, first.axes)
             wanted = {axis: FINER * tone_spacing(look.omegas_of(axis)) for axis in look.axes}
-            if any(self._known(name, axis).spacing_rad_s > most for axis, most in wanted.items()):
+            band_rad_s = self._plan.band_rad_s
+            known = {axis: self._known(name, axis).spacing_rad_s(band_rad_s) for axis in look.axes}
+            if any(known[axis] > most for axis, most in wanted.items()):
                 yield look
 
     def lowest(

@@ -17,6 +17,7 @@ from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.robot_agent.motion.excitation import plan_excitation
+from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.robots.spec import RobotSpec
 
 
@@ -206,4 +207,30 @@ def test_a_robot_that_misstated_its_settling_plays_the_first_test_that_it_would_
     told, _ = looks_of(SPEC.model_copy(update={"settling_time_s": measured_s}))
     assert look == told.first["robot"]
     known.learn(robot.answer(look.excitation("x"), 0.01, rng), rng)
+    assert looks.finer(["robot"]) == {}
+
+
+@pytest.mark.parametrize("axes", [2, 3, 5])
+@pytest.mark.parametrize("times_as_slow", [3, 10])
+def test_one_finer_look_is_enough_for_all_axes_that_share_its_tones(
+    axes: int, times_as_slow: int
+) -> None:
+    """An axis may play no tone near the upper end of the band, in any of the looks."""
+    (axis,) = SPEC.axes
+    names = tuple(f"axis-{n}" for n in range(axes))
+    each = tuple(axis.model_copy(update={"name": name}) for name in names)
+    known = AxesKnowledge("robot", SPEC.model_copy(update={"axes": each}), BAND[1], names)
+    plan = StudyPlan("robot", (), BAND, 8, names[0], also=names[1:])
+    looks, rng = Looks(plan, AdaptiveSettings(), {"robot": known}), np.random.default_rng(0)
+
+    def play(choice: ToneChoice) -> None:
+        for test in looks.excitation("robot", choice).played:
+            alone = Excitation(axis=test.axis, tones=test.tones)
+            known.axes[test.axis].learn(Loop(3.0).answer(alone, 0.01, rng), rng)
+
+    play(looks.first["robot"])
+    for one in known.axes.values():
+        one.expect_settling(times_as_slow * SPEC.settling_time_s)
+    for look in looks.finer(["robot"]).values():
+        play(look)
     assert looks.finer(["robot"]) == {}
