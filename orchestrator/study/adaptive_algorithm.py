@@ -134,6 +134,9 @@ class AdaptiveStudy:
         verdict = self._first_alone(confidence)
         verdict = verdict or self._judge(compared, leader, confidence, hopeless)
         self._next, self._purpose = verdict.tests, verdict.why
+        unlooked = {name: self._looks.unlooked(name) for name in (self._plan.target, *sources)}
+        # Tests that follow may still look for it.
+        open_above = () if verdict.tests else self._open_above(unlooked, belief.sources)
         tested = {
             name: [one for axis in robot.axes.values() for one in axis.responses]
             for name, robot in self._robots.items()
@@ -144,11 +147,16 @@ class AdaptiveStudy:
             responses=responses,
             sampled_psi=sampled_psi(self._plan.target, sources, responses),
             curves=curves_of(belief, tested),
-            ranking=ranking_of_axes(compared, self._robots, self._plan.target, leader),
+            ranking=ranking_of_axes(compared, self._robots, self._plan.target, leader, unlooked),
             dropped=dict(self._dropped),
             confidence=verdict.confidence * self._share_measured,
             eliminated={**hopeless, **compared.outrun},
-            findings=(*self._findings(leader), *compared.findings, *self._looks.findings),
+            findings=(
+                *self._findings(leader),
+                *open_above,
+                *compared.findings,
+                *self._looks.findings,
+            ),
             stopped_because=None if verdict.tests else verdict.why + self._left_open(),
         )
 
@@ -222,8 +230,8 @@ class AdaptiveStudy:
         """
         belief, sure, doubtful = compared.belief, 1 - self._settings.delta, self._doubtful
         rounds_left = self._asked < self._plan.iterations
-        unseen = {n: self._robots[n].lowest_rad_s for n in belief.sources if self._unseen(n)}
-        surely, ahead = belief.beaten(leader, self._settings.epsilon, unseen)
+        seen = {name: seen for name in belief.sources if (seen := self._looks.seen(name))}
+        surely, ahead = compared.beaten(leader, self._settings.epsilon, seen)
         share = self._settings.delta / len(belief.sources)
         rivals = [source for source, chance in ahead.items() if chance > share]
         contenders = [name for name in (self._plan.target, leader) if name not in self._grounded]
@@ -249,16 +257,18 @@ class AdaptiveStudy:
             return _Verdict(doubtful, why=why)
         confidence = min(confidence, surely)
         if confidence < sure:
-            why = f"the lower end of the band was not tested on {', '.join(rivals)}"
+            why = self._unseen_of(rivals)
             return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
         low, _, high = belief.interval(leader)
+        hidden = any(self._looks.unlooked(name) for name in (self._plan.target, leader))
+        high = 1.0 if hidden else high
         wanted = self._plan.precision
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
         wide = f"ψ* of {leader} is known to {high - low:.2g}, and {wanted:g} is wanted"
         tests: Mapping[str, ToneChoice] = {}
-        if rounds_left:
+        if rounds_left and not hidden:
             value = narrowing(belief, leader)
             tests = self._next_tests.choose(
                 compared, leader, value, hopeless=hopeless, absent=self._grounded
@@ -283,6 +293,40 @@ class AdaptiveStudy:
 
     def _unseen(self, name: str) -> bool:
         return not self._looks.reached(name)
+
+    def _unseen_of(self, rivals: Sequence[str]) -> str:
+        """Return in words what tests did not show of sources that may be as close as the leader."""
+        below = [name for name in rivals if self._unseen(name)]
+        between = [name for name in rivals if self._looks.coarse(name)]
+        lacking = [
+            f"{what} on {', '.join(names)}"
+            for what, names in (
+                ("the lower end of the band was not tested", below),
+                ("resonances as narrow as settling is slow were not looked for", between),
+            )
+            if names
+        ]
+        return ", and ".join(lacking) or f"{', '.join(rivals) or 'others'} may be as close"
+
+    def _open_above(
+        self, unlooked: Mapping[str, Collection[str]], sources: Sequence[str]
+    ) -> tuple[str, ...]:
+        """Return in words which distances have no upper bound, since much was not looked for.
+
+        Args:
+            unlooked: Axes on which much of a robot is unseen, by robot.
+            sources: Sources that were compared.
+        """
+        target = self._plan.target
+        robots = [name for name in (target, *sources) if unlooked[name]]
+        larger = sources if target in robots else robots
+        if not robots:
+            return ()
+        finding = (
+            f"the distance of {', '.join(larger)} may be larger: resonances as narrow as settling "
+            f"was found to be slow were not looked for in the whole band on {', '.join(robots)}"
+        )
+        return (finding,)
 
     def _lose_the_silent(self) -> None:
         """Drop the robots that respond to no tone, down to the lowest that they can be asked."""

@@ -21,7 +21,12 @@ from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_d
 from nufleet.orchestrator.study.errors_across import ErrorsAcross
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.screening import Screened
-from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
+from nufleet.orchestrator.study.seen import Seen
+from nufleet.orchestrator.study.selection_belief import (
+    PredictedErrors,
+    SelectionBelief,
+    part_of_worst,
+)
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 
@@ -45,6 +50,33 @@ class Compared:
     """Reason for each source that was not compared, since its tones show that it cannot win."""
     estimates: tuple[SourceEstimate, ...] = ()
     """What is known of all that were not compared in full, by rising distance."""
+    coupled: bool = False
+    """Whether distances come from the matrices of all axes, and not from the worst axis alone."""
+
+    def beaten(
+        self, leader: str, epsilon: float, seen: Mapping[str, Mapping[str, Seen]]
+    ) -> tuple[float, dict[str, float]]:
+        """Return how sure the leader is if the others may do anything where they were not seen.
+
+        Args:
+            leader: Name of the source that is selected now.
+            epsilon: Difference ε of two losses that does not matter.
+            seen: Where tests say what a source does on each axis, of the sources that they do not
+                show in the whole band.
+
+        Returns:
+            The probabilities of `SelectionBelief.beaten`.
+        """
+        parts = {source: self._part(source, axes) for source, axes in seen.items()}
+        return self.belief.beaten(leader, epsilon, parts)
+
+    def _part(self, source: str, seen: Mapping[str, Seen]) -> FloatArray:
+        """Return the part of a source's loss that was seen, shape (samples,)."""
+        if self.coupled or self.belief.errors is not None:
+            # A matrix, or an error that all axes leave, is seen where each of them is.
+            return self.belief.part(source, *seen.values())
+        axes = [(one, seen[axis].at(one.omega_rad_s)) for axis, one in self.by_axis.items()]
+        return part_of_worst(source, axes)
 
 
 class Comparison:
@@ -148,7 +180,8 @@ class Comparison:
         }
         if errors is not None:
             errors = replace(errors, parts=errors.parts[:, :count])
-        return Compared(replace(coupled, errors=errors), by_axis, draws, findings)
+        belief = replace(coupled, errors=errors)
+        return Compared(belief, by_axis, draws, findings, coupled=True)
 
     def _errors_across(
         self,

@@ -100,7 +100,8 @@ class AxisEstimate:
     """Median of the distance, from 0 to 1."""
     psi_low: float
     psi_high: float
-    """Bounds of the interval that holds the distance with a probability of 95 %."""
+    """Bounds of the interval that holds the distance with a probability of 95 %. The upper one is 1
+    where tests leave open that it is any larger."""
     omega_rad_s: float
     """Frequency in rad/s at which the median of ψ_n,i(ω) is largest."""
 
@@ -115,7 +116,8 @@ class SourceEstimate:
     """Median of the distance, from 0 to 1."""
     psi_low: float
     psi_high: float
-    """Bounds of the interval that holds the distance with a probability of 95 %."""
+    """Bounds of the interval that holds the distance with a probability of 95 %. The upper one is 1
+    where tests leave open that it is any larger."""
     omega_rad_s: float
     """Frequency in rad/s at which the median of ψ_n(ω) is largest."""
     tests: int

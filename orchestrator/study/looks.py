@@ -4,7 +4,8 @@ Before anything is claimed, each contender has played a test that reaches down t
 the band, at another amplitude than its first: what differs below its lowest tone, or at another
 amplitude, would otherwise be claimed unseen. Its tones are mostly those of the first test, of which
 a part is enough if that reaches as low. One that settles more slowly than it states, as tests of it
-or of its kind showed, also plays the first look that it would have played.
+or of its kind showed, also plays the first look that it would have played. Before that, tests say
+what it does near its tones only, and that it is at least as far away as there.
 
 Axes that may move together share the tones of a test, dealt to them in turn. Up to three of them
 reach down to the lower end of the band in the same lowest look.
@@ -23,6 +24,7 @@ from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge, tone_spacing
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.seen import Seen
 from nufleet.orchestrator.study.tone_choice import (
     LOW_SPACING,
     LOWEST_TOGETHER,
@@ -43,6 +45,10 @@ NOISY = 0.05
 
 FINER = 1.5
 """A test is repeated for resonances between its tones if these are as many times further apart."""
+
+NEAR_A_TONE = 0.15
+"""How far from a tone it is known what a robot does if resonances may lie between its tones, as a
+share of their distance."""
 
 CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
@@ -147,21 +153,63 @@ class Looks:
 
         A resonance as narrow as its transient is slow may lie unseen between the tones played.
         """
-        return {name: look for name in names for look in self._finer(name)}
+        return {name: look for name in names for look, axes in self._finer(name) if look and axes}
 
-    def _finer(self, name: str) -> Iterator[ToneChoice]:
+    def coarse(self, name: str) -> tuple[str, ...]:
+        """Return the axes between whose tones resonances may lie that only a finer look shows."""
+        return tuple(self._plan.axes[place] for _, axes in self._finer(name) for place in axes)
+
+    def unlooked(self, name: str) -> tuple[str, ...]:
+        """Return the axes of a robot that settles slowly on which much may still be unseen.
+
+        It misstated its settling, and between its tones, or below them, resonances as narrow as
+        that were not looked for: what lies there can only make a distance larger.
+        """
+        if not self._robots[name].misstated:
+            return ()
+        below = {axis for first in self._firsts[name] for axis in self._lacking(name, first)}
+        return tuple(dict.fromkeys((*self.coarse(name), *(self._plan.axes[n] for n in below))))
+
+    def seen(self, name: str) -> dict[str, Seen]:
+        """Return at which frequencies tests say what a robot does, by axis.
+
+        It is empty where tests say it in the whole band.
+        """
+        robot, coarse = self._robots[name], self.coarse(name)
+        lowest_rad_s = 0.0 if self.reached(name) else robot.lowest_rad_s
+        if not coarse and not lowest_rad_s:
+            return {}
+        seen = dict.fromkeys(robot.axes, Seen.above(lowest_rad_s))
+        for axis in coarse:
+            known, place = robot.axes[axis], self._plan.axes.index(axis)
+            # Stored tests may each be of a part of the band, so that no distance holds for all.
+            first_rad_s = tone_spacing(self._first_of(name, place).omegas_of(place))
+            within_rad_s = NEAR_A_TONE * min(
+                known.spacing_rad_s(self._plan.band_rad_s), first_rad_s
+            )
+            seen[axis] = Seen.near(known.omega_rad_s, within_rad_s, lowest_rad_s)
+        return seen
+
+    def _finer(self, name: str) -> Iterator[tuple[ToneChoice | None, tuple[int, ...]]]:
+        """Yield the finer looks of a robot, each with the places of the axes that lack it.
+
+        It is None where the robot cannot move for as long as that takes.
+        """
         robot, settings = self._robots[name], self._settings
         if not robot.misstated:
             return
         slow = robot.spec.model_copy(update={"settling_time_s": robot.settling_time_s})
         for first in self._firsts[name]:
             periods, share = settings.first_periods, settings.share_of_settling
-            look = first_look(self._plan.band_rad_s, slow, periods, share, first.axes)
+            try:
+                look = first_look(self._plan.band_rad_s, slow, periods, share, first.axes)
+            except InvalidInputError:
+                yield None, first.axes
+                continue
             wanted = {axis: FINER * tone_spacing(look.omegas_of(axis)) for axis in look.axes}
             band_rad_s = self._plan.band_rad_s
             known = {axis: self._known(name, axis).spacing_rad_s(band_rad_s) for axis in look.axes}
-            if any(known[axis] > most for axis, most in wanted.items()):
-                yield look
+            yield look, tuple(axis for axis in look.axes if known[axis] > wanted[axis])
 
     def lowest(
         self, name: str, first: ToneChoice, lacking: Sequence[int] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +49,7 @@ def curves_of(belief: SelectionBelief, known: Known) -> tuple[Curve, ...]:
 
 
 def ranking_of(
-    belief: SelectionBelief, target: str, leader: str, known: Known
+    belief: SelectionBelief, target: str, leader: str, known: Known, unlooked: Collection[str] = ()
 ) -> tuple[SourceEstimate, ...]:
     """Return the estimates with the leader first and the others by rising typical loss.
 
@@ -58,10 +58,13 @@ def ranking_of(
         target: Name of the target.
         leader: Name of the selected source.
         known: All responses of each robot, by robot.
+        unlooked: Robots whose distances may be larger by any amount, as tests left much unseen.
     """
     estimates = []
     for n, source in enumerate(belief.sources):
         low, median, high = belief.interval(source)
+        if target in unlooked or source in unlooked:
+            high = 1.0
         estimate = SourceEstimate(
             robot=source,
             psi=median,
@@ -85,7 +88,11 @@ def _measured(
 
 
 def ranking_of_axes(
-    compared: Compared, robots: Mapping[str, AxesKnowledge], target: str, leader: str
+    compared: Compared,
+    robots: Mapping[str, AxesKnowledge],
+    target: str,
+    leader: str,
+    unlooked: Mapping[str, Collection[str]],
 ) -> tuple[SourceEstimate, ...]:
     """Return the estimates over all axes; of several axes, each with those on every one.
 
@@ -94,12 +101,14 @@ def ranking_of_axes(
         robots: Knowledge of target and sources, by robot.
         target: Name of the target.
         leader: Name of the selected source.
+        unlooked: Axes on which much of a robot is unseen, by robot, as `Looks.unlooked` says.
     """
     named = (target, *compared.belief.sources)
 
     def on(axis: str) -> tuple[SourceEstimate, ...]:
         known = {name: robots[name].axes[axis].responses for name in named}
-        return ranking_of(compared.by_axis[axis], target, leader, known)
+        hidden = [name for name in named if axis in unlooked.get(name, ())]
+        return ranking_of(compared.by_axis[axis], target, leader, known, hidden)
 
     if len(robots[target].axes) == 1:
         (axis,) = compared.by_axis
@@ -109,7 +118,8 @@ def ranking_of_axes(
     estimates = {axis: {one.robot: one for one in on(axis)} for axis in compared.by_axis}
     tests = {name: robots[name].responses for name in named}
     ranking = []
-    for together in ranking_of(compared.belief, target, leader, tests):
+    hidden = [name for name in named if unlooked.get(name)]
+    for together in ranking_of(compared.belief, target, leader, tests, hidden):
         axes = {axis: one[together.robot] for axis, one in estimates.items()}
         furthest = max(axes.values(), key=lambda one: one.measured_psi or 0.0)
         ranking.append(

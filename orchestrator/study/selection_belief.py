@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
 
+from nufleet.orchestrator.study.seen import Seen
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
 from nufleet.orchestrator.study.verdict import error_with_transfer
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.frequency_test.quality import BoolArray
 
 INTERVAL = (0.025, 0.5, 0.975)
 """Quantiles between which a quantity lies with a probability of 95 %, and its median."""
@@ -176,9 +178,9 @@ class SelectionBelief:
         return self.sources[order[0]], float(within[order[0]])
 
     def beaten(
-        self, leader: str, epsilon: float, lowest_rad_s: Mapping[str, float]
+        self, leader: str, epsilon: float, seen: Mapping[str, FloatArray]
     ) -> tuple[float, dict[str, float]]:
-        """Return how sure the leader is if the others may do anything where they were not tested.
+        """Return how sure the leader is if the others may do anything where they were not seen.
 
         A loss is a maximum, or a sum of squares, over frequencies: what is not seen of a source can
         only make it worse, so that what is seen is enough to tell that it is not the best.
@@ -186,32 +188,37 @@ class SelectionBelief:
         Args:
             leader: Name of the source that is selected now.
             epsilon: Difference ε of two losses that does not matter.
-            lowest_rad_s: Lowest tested frequency in rad/s of the sources that were not tested down
-                to the lower end of the band.
+            seen: Part of the loss that was seen, of the sources that tests did not show in the
+                whole band, each of shape (samples,).
 
         Returns:
             The probability that the leader is within ε of the best, and the probability that it is
             not within ε of each of the others.
         """
         limit = self.loss[self.sources.index(leader)] - epsilon
+        everywhere = Seen.above(0.0)
         ahead = {
-            source: self._seen(n, lowest_rad_s.get(source, 0.0)) < limit
-            for n, source in enumerate(self.sources)
+            source: (seen[source] if source in seen else self.part(source, everywhere)) < limit
+            for source in self.sources
             if source != leader
         }
         others = np.inf if self.closest_other is None else self.closest_other
         surely = 1.0 - float(np.mean(np.any([*ahead.values(), limit > others], axis=0)))
         return surely, {source: float(np.mean(one)) for source, one in ahead.items()}
 
-    def _seen(self, n: int, from_rad_s: float) -> FloatArray:
-        """Return the part of a source's loss from a frequency (rad/s) on, shape (samples,)."""
-        if self.errors is not None:
-            parts = self.errors.parts[n][:, self.errors.omega_rad_s >= from_rad_s]
-            return np.asarray(np.sqrt(parts.sum(axis=1)))
-        tested = self.omega_rad_s >= from_rad_s
-        psi = np.max(self.psi[n : n + 1, :, tested], axis=2, initial=0.0)
-        of_means = np.max(self.likeliest[n : n + 1, tested], axis=1, initial=0.0)
-        return np.asarray((psi - lengthened(psi, of_means))[0])
+    def part(self, source: str, *seen: Seen) -> FloatArray:
+        """Return the part of a source's loss that was seen, shape (samples,).
+
+        Args:
+            source: Name of the source.
+            seen: Frequencies at which tests say what it does; of several, those in all of them.
+        """
+        if self.errors is None:
+            at = np.all([one.at(self.omega_rad_s) for one in seen], axis=0)
+            return part_of_worst(source, [(self, at)])
+        at = np.all([one.at(self.errors.omega_rad_s) for one in seen], axis=0)
+        parts = self.errors.parts[self.sources.index(source)][:, at]
+        return np.asarray(np.sqrt(parts.sum(axis=1)))
 
     def variance_to_settle(self, leader: str, epsilon: float, delta: float) -> float:
         """Return the factor by which variances have to fall until the leader is surely the best.
@@ -267,6 +274,20 @@ class SelectionBelief:
             f"its {what} is {np.mean(behind):.3f} ± {np.std(behind):.1g} larger "
             f"than that of {leader}"
         )
+
+
+def part_of_worst(source: str, axes: Sequence[tuple[SelectionBelief, BoolArray]]) -> FloatArray:
+    """Return the part of a source's distance on its worst axis that was seen, shape (samples,).
+
+    Args:
+        source: Name of the source.
+        axes: Belief about each axis, and at which of its frequencies tests say what the source
+            does, of shape (frequencies,).
+    """
+    n = axes[0][0].sources.index(source)
+    psi = np.max([one.psi[n][:, at].max(axis=1, initial=0.0) for one, at in axes], axis=0)
+    of_means = np.max([one.likeliest[n, at].max(initial=0.0) for one, at in axes])
+    return np.asarray(psi - lengthened(psi[None], of_means))
 
 
 def lengthened(psi_star: FloatArray, of_means: FloatArray) -> FloatArray:

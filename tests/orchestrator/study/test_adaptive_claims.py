@@ -12,6 +12,8 @@ from random_loops import BAND, SPEC, Loop, answers
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Report, StudyPlan
 from nufleet.orchestrator.study.tone_choice import first_look, lowest_look
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
@@ -22,7 +24,22 @@ FLEET = {
     "middle": Loop(4.0),
     "far": Loop(1.6, delay_s=0.2),
 }
+RINGING = Quality(warnings=(Finding(code="ringing", text="it still rings", value=40.0),))
+"""What tests say of a robot that settles ten times more slowly than `SPEC` states."""
 SILENT = Quality(warnings=(Finding(code="no-response", text="no response"),))
+
+
+class Shaking(Loop):
+    """A loop on which something shakes, with a damping ratio of 0.04, between 1.5 and 2.5 rad/s."""
+
+    def z(self, omega_rad_s: FloatArray) -> ComplexArray:
+        s = 1j * omega_rad_s / 1.95
+        damping = 2 * 0.04 * s
+        return super().z(omega_rad_s) * (1 + damping / (s**2 + damping + 1))
+
+
+MISSTATED = {"target": Loop(3.0), "near": Loop(3.8), "rival": Shaking(3.1)}
+"""Loops of which the one that shakes is the closest at the tones of a first test."""
 
 
 def still(response: FrequencyResponse) -> FrequencyResponse:
@@ -36,6 +53,7 @@ def last_of(
     failed: Mapping[str, str] | None = None,
     weaker: Mapping[str, float] | None = None,
     plan: StudyPlan | None = None,
+    ringing: bool = False,
 ) -> tuple[Report, list[tuple[str, ...]]]:
     """Return the last report of a study, and the robots of each round."""
     sources = tuple(name for name in fleet if name != "target")
@@ -50,6 +68,8 @@ def last_of(
             played = question.tests[name].amplitude or 0.2
             share = 1 + (weaker or {}).get(name, 0.0) * np.log2(0.2 / played)
             given[name] = replace(given[name], z=share * given[name].z, amplitude=played)
+            if ringing:
+                given[name] = replace(given[name], quality=RINGING)
             if name in silent:
                 given[name] = still(given[name])
             if name in (failed or {}):
@@ -178,3 +198,52 @@ def test_a_doubt_that_no_test_tells_ends_the_study_before_its_rounds_are_used() 
     assert report.stopped_because is not None
     assert report.stopped_because.startswith("no further test would help")
     assert len(asked) < 8
+
+
+def test_a_rival_is_not_beaten_by_what_nothing_measured_between_its_tones() -> None:
+    report, asked = last_of(MISSTATED, ringing=True)
+    assert report.selected == "near"
+    assert (report.confidence or 0.0) >= 0.95
+    assert "rival" in asked[-1], "resonances as narrow as settling is slow were looked for"
+    ranking = {one.robot: one for one in report.ranking}
+    assert ranking["rival"].psi_low > ranking["near"].psi_high
+    assert max(one.psi_high for one in report.ranking) < 0.5
+    assert not [one for one in report.findings if "may be larger" in one]
+
+
+def test_a_robot_that_settles_slowly_is_at_least_as_far_away_as_its_coarse_tones_say() -> None:
+    grid = np.linspace(*BAND, 2001)
+    plan = StudyPlan("target", ("near", "rival"), BAND, 1, "x")
+    settled, _ = last_of(MISSTATED, plan=plan)
+    report, _ = last_of(MISSTATED, plan=plan, ringing=True)
+    assert max(one.psi_high for one in settled.ranking) < 0.5
+    for one in report.ranking:
+        truth = chordal_distance(MISSTATED["target"].z(grid), MISSTATED[one.robot].z(grid)).max()
+        assert one.psi_low < truth < one.psi_high == 1.0
+    (said,) = [one for one in report.findings if "may be larger" in one]
+    assert said == (
+        "the distance of near, rival may be larger: resonances as narrow as settling was found to "
+        "be slow were not looked for in the whole band on target, near, rival"
+    )
+
+
+def test_a_study_that_ends_says_what_was_not_seen_of_rivals_that_cannot_be_tested() -> None:
+    rng = np.random.default_rng(0)
+    first = first_look(BAND, SPEC, 11, 0.7)
+    tests = [first, lowest_look(SPEC, 2 * BAND[0], first)]
+    known = [MISSTATED["rival"].answer(test.excitation("x"), 0.001, rng) for test in tests]
+    study = AdaptiveStudy(
+        StudyPlan("target", ("near", "rival"), BAND, 8, "x"),
+        dict.fromkeys(MISSTATED, SPEC),
+        rng,
+        stored={"rival": known},
+        absent=("rival",),
+    )
+    while (question := study.ask()) is not None:
+        given = answers(MISSTATED, question, 0.005, rng)
+        report = study.tell({n: replace(one, quality=RINGING) for n, one in given.items()}, {})
+    assert (report.confidence or 0.0) < 0.95
+    assert report.stopped_because is not None
+    assert report.stopped_because.startswith(
+        "resonances as narrow as settling is slow were not looked for on rival; P("
+    )

@@ -19,6 +19,7 @@ from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.distance.chordal import chordal_distance, matrix_chordal_distance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
 from nufleet.shared.robots.spec import RobotSpec
 
 FLEET: dict[str, Loops] = {
@@ -278,3 +279,24 @@ def test_robots_that_move_too_briefly_for_all_axes_at_once_play_them_one_by_one(
     question = study.ask()
     assert question is not None
     assert all(not test.also for test in question.tests.values())
+
+
+def test_on_each_axis_a_robot_that_settles_slowly_is_at_least_as_far_away_as_it_seems() -> None:
+    """Its tests ring ten times as long as it states, and its tones are too coarse for that."""
+    ringing = Finding(code="ringing", text="it still rings", value=40.0)
+    study, rng = begin(spec_of(), replace(PLAN, iterations=1)), np.random.default_rng(1)
+    question = study.ask()
+    assert question is not None
+    given = {name: answer(FLEET[name], test, 0.01, rng) for name, test in question.tests.items()}
+    for name, one in given.items():
+        assert one.matrix is not None
+        rows = [replace(row, quality=Quality(warnings=(ringing,))) for row in one.matrix.rows]
+        given[name] = replace(one, matrix=replace(one.matrix, rows=tuple(rows)))
+    report = study.tell(given, {})
+    for estimate in report.ranking:
+        assert estimate.axes is not None
+        assert estimate.psi_low > 0.0
+        assert estimate.psi_high == 1.0
+        assert {one.psi_high for one in estimate.axes.values()} == {1.0}
+    (said,) = [finding for finding in report.findings if "may be larger" in finding]
+    assert "balanced" in said

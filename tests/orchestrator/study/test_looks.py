@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loops_on_axes import answer
 from random_loops import BAND, SPEC, Loop
 
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
@@ -208,6 +209,46 @@ def test_a_robot_that_misstated_its_settling_plays_the_first_test_that_it_would_
     assert look == told.first["robot"]
     known.learn(robot.answer(look.excitation("x"), 0.01, rng), rng)
     assert looks.finer(["robot"]) == {}
+
+
+def test_between_tones_too_coarse_for_its_settling_a_robot_is_seen_near_them_only() -> None:
+    looks, known = looks_of(SPEC)
+    rng, robot, omega_rad_s = np.random.default_rng(0), Loop(3.0), np.linspace(0.01, 5.4, 2000)
+    first = looks.first["robot"]
+    known.learn(robot.answer(first.excitation("x"), 0.01, rng), rng)
+    (above,) = looks.seen("robot").values()
+    lowest_rad_s = first.omega_rad_s[0]
+    np.testing.assert_array_equal(above.at(omega_rad_s), omega_rad_s >= lowest_rad_s)
+    assert looks.unlooked("robot") == (), "as settling was stated well, its tones are close enough"
+    known.axes["x"].expect_settling(10 * SPEC.settling_time_s)
+    (near,) = looks.seen("robot").values()
+    off = np.abs(omega_rad_s[:, None] - first.omega_rad_s).min(axis=1)
+    spacing_rad_s = float(np.diff(first.omega_rad_s)[0])
+    at = near.at(omega_rad_s)
+    assert at[(off < 0.14 * spacing_rad_s) & (omega_rad_s > lowest_rad_s)].all()
+    assert not at[(off > 0.16 * spacing_rad_s) | (omega_rad_s < lowest_rad_s)].any()
+    assert looks.unlooked("robot") == ("x",)
+    finer = looks.finer(["robot"])["robot"]
+    known.learn(robot.answer(finer.excitation("x"), 0.01, rng), rng)
+    assert looks.seen("robot") == {}
+    assert looks.unlooked("robot") == ()
+
+
+def test_a_robot_that_moves_too_briefly_for_a_finer_look_stays_seen_near_its_tones_only() -> None:
+    (axis,) = SPEC.axes
+    axes = tuple(axis.model_copy(update={"name": name}) for name in ("x", "y"))
+    spec = SPEC.model_copy(update={"axes": axes, "duration_max_s": 60.0})
+    known = AxesKnowledge("robot", spec, BAND[1], ("x", "y"))
+    plan = StudyPlan("robot", (), BAND, 8, "x", also=("y",))
+    looks, rng = Looks(plan, AdaptiveSettings(), {"robot": known}), np.random.default_rng(0)
+    test = looks.excitation("robot", looks.first["robot"])
+    known.learn(answer({"x": Loop(3.0), "y": Loop(3.0)}, test, 0.01, rng), rng)
+    for one in known.axes.values():
+        one.expect_settling(200.0)
+    assert looks.finer(["robot"]) == {}
+    assert looks.unlooked("robot") == ("x", "y")
+    for axis_seen in looks.seen("robot").values():
+        assert 0 < axis_seen.at(np.linspace(*BAND, 1000)).mean() < 0.4
 
 
 @pytest.mark.parametrize("axes", [2, 3, 5])

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from nufleet.orchestrator.study.comparison import Compared
+from nufleet.orchestrator.study.seen import Seen
 from nufleet.orchestrator.study.selection_belief import SelectionBelief, largest
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -109,11 +113,65 @@ def test_what_is_not_seen_of_a_source_can_only_make_it_worse() -> None:
     leader, far = rng.normal(0.1, 0.001, 500), rng.normal(0.3, 0.001, 500)
     # At 1 rad/s each distance is half of that at 2 rad/s.
     sources = belief(leader=leader, far=far)
+
+    def beaten(lowest_rad_s: float) -> tuple[float, dict[str, float]]:
+        seen = {"far": sources.part("far", Seen.above(lowest_rad_s))}
+        return sources.beaten("leader", 0.01, seen)
+
     assert sources.beaten("leader", 0.01, {}) == (1.0, {"far": 0.0})
-    assert sources.beaten("leader", 0.01, {"far": 1.5}) == (1.0, {"far": 0.0})
-    surely, ahead = sources.beaten("leader", 0.01, {"far": 2.5})
+    assert beaten(1.5) == (1.0, {"far": 0.0})
+    surely, ahead = beaten(2.5)
     assert surely == 0.0, "nothing was seen of it"
     assert ahead == {"far": 1.0}
+
+
+def test_near_tones_is_seen_what_lies_next_to_one_of_them_and_not_below_the_lowest() -> None:
+    omega_rad_s = np.array([0.5, 0.95, 1.05, 1.5, 2.0, 2.2])
+    tones_rad_s = np.array([2.0, 1.0])
+    seen = Seen.near(tones_rad_s, 0.1, 1.0).at(omega_rad_s)
+    assert seen.tolist() == [False, False, True, False, True, False]
+    assert Seen.above(1.05).at(omega_rad_s).tolist() == [False, False, True, True, True, True]
+
+
+def test_a_source_is_not_beaten_by_what_it_seems_to_do_between_its_tones() -> None:
+    """What a model says there counts neither for its distance nor for its error on a path."""
+    omega_rad_s = np.array([1.0, 1.5, 2.0])
+    target = np.ones((200, 6), complex)
+    noise = 0.001 * np.random.default_rng(0).standard_normal((200, 6))
+    leader, rival = target + 0.2 + noise, target + noise
+    rival[:, [1, 4]] += 1.0
+    motion = Spectrum(omega_rad_s, np.ones(3))
+    for spectrum in (None, motion):
+        count = 3 if spectrum is None else 6
+        sources = {"leader": leader[:, :count], "rival": rival[:, :count]}
+        found = SelectionBelief.of(omega_rad_s, target[:, :count], sources, spectrum)
+        assert found.leader(0.01, 0.05) == ("leader", 1.0)
+        assert found.beaten("leader", 0.01, {}) == (1.0, {"rival": 0.0})
+        seen = found.part("rival", Seen.near(np.array([1.0, 2.0]), 0.1))
+        assert found.beaten("leader", 0.01, {"rival": seen}) == (0.0, {"rival": 1.0})
+
+
+def test_of_several_axes_each_counts_where_it_was_seen() -> None:
+    near, far = np.full((1, 100, 2), 0.1), np.full((1, 100, 2), 0.1)
+    far[:, :, 1] = 0.4  # on y, at 2 rad/s
+    leader = np.full((1, 100, 2), 0.2)
+    x, y = (
+        SelectionBelief(("leader", "rival"), OMEGA, psi, psi.mean(axis=1))
+        for psi in (np.concatenate([leader, near]), np.concatenate([leader, far]))
+    )
+    worst = np.maximum(x.psi, y.psi)
+    belief = SelectionBelief(("leader", "rival"), OMEGA, worst, worst.mean(axis=1))
+    low, high = (Seen.near(np.array([tone_rad_s]), 0.1) for tone_rad_s in OMEGA)
+    compared = Compared(belief, {"x": x, "y": y}, {}, ())
+
+    def chance(compared: Compared, **seen: Seen) -> float:
+        return compared.beaten("leader", 0.01, {"rival": seen})[1]["rival"]
+
+    assert chance(compared, x=low, y=high) == 0.0
+    assert chance(compared, x=high, y=low) == 1.0, "y was not seen where it is far away"
+    matrices = replace(compared, coupled=True)
+    assert chance(matrices, x=high, y=high) == 0.0
+    assert chance(matrices, x=low, y=high) == 1.0, "a matrix is seen where all of its axes are"
 
 
 def test_a_lead_that_noise_hides_is_settled_by_as_much_less_variance() -> None:
