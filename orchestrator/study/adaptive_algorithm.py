@@ -237,8 +237,9 @@ class AdaptiveStudy:
         contenders = [name for name in (self._plan.target, leader) if name not in self._grounded]
         there = [name for name in rivals if name not in self._grounded]
         looks = self._looks.due(contenders)
-        if not looks and surely < sure:
-            looks = self._looks.due(there)
+        if not looks and surely < sure and (looks := self._looks.due(there)):
+            # What the contenders need anyway costs no round of its own.
+            looks = {**self._looks.finer(contenders), **looks}
         unreached = [name for name in looks if self._unseen(name)]
         if unreached:
             lowest_rad_s = max(self._robots[name].lowest_rad_s for name in unreached)
@@ -253,8 +254,8 @@ class AdaptiveStudy:
         if looks and rounds_left:
             return _Verdict(doubtful, looks, why)
         if looks:
-            why = f"all {self._asked} rounds have been used, and {lacking} on {', '.join(looks)}"
-            return _Verdict(doubtful, why=why)
+            why = f"all {self._asked} rounds have been used, and {lacking} on "
+            return _Verdict(doubtful, why=why + ", ".join(unreached or looks))
         confidence = min(confidence, surely)
         if confidence < sure:
             why = self._unseen_of(rivals)
