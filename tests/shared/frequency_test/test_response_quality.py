@@ -19,6 +19,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
+from nufleet.shared.frequency_test.quality import changed
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 ONE_TONE = (2.0,)
@@ -435,3 +436,21 @@ def test_a_good_test_says_so() -> None:
     quality = verdict_on(lambda y, _: y).quality
     assert quality.usable
     assert str(quality) == "good"
+
+
+def test_distortion_on_both_sides_of_a_tone_is_no_change_in_the_middle_of_the_test() -> None:
+    rng = np.random.default_rng(1)
+    samples, step_s = 9000, 0.02
+    base_rad_s = 2 * np.pi / (samples * step_s)
+    omega_rad_s = np.array([11 * base_rad_s])
+    times_s = step_s * np.arange(samples)
+    for _ in range(20):
+        noise_of_one = 2.0 * rng.standard_normal(samples)
+        phases = rng.uniform(0, 2 * np.pi, 2)
+        beside = np.cos(np.outer(times_s, base_rad_s * np.array([10, 12])) + phases).sum(axis=1)
+        assert changed(noise_of_one + beside, np.array([0.02]), omega_rad_s, step_s) is None
+        after = times_s > rng.uniform(0.2, 0.8) * times_s[-1]
+        other = np.where(after, 2.0 * np.cos(omega_rad_s * times_s + phases[0]), 0.0)
+        found = changed(noise_of_one + other, np.array([0.02]), omega_rad_s, step_s)
+        assert found is not None
+        assert found.code == "changed"
