@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.conduct.leases import HeldLeases
 from nufleet.orchestrator.conduct.recipe import AWAY, Recipe
-from nufleet.orchestrator.conduct.replay import ResumeError
+from nufleet.orchestrator.conduct.replay import ResumeError, tried_again
 from nufleet.orchestrator.conduct.trial_log import TrialLog
 from nufleet.orchestrator.repository.records import RobotRecord, StudyRecord, StudyStatus
 from nufleet.orchestrator.study.interface import StudyPlan
@@ -73,6 +73,24 @@ class Archive:
         )
         self.repository.studies.begin(record)
         return record
+
+    def try_again(self, study: StudyRecord) -> StudyRecord:
+        """Store that a study which has failed continues where it did, once a person wants it.
+
+        Returns:
+            The study as it is then: still failed if no test of it was given up at its end.
+        """
+        studies = self.repository.studies
+        trials = studies.trials(study.study_id)
+        repeated = [
+            trial.intent.goal_id
+            for trial, again in zip(trials, tried_again(trials), strict=True)
+            if again is not trial
+        ]
+        if not repeated:
+            return study
+        studies.reopen(study.study_id, repeated)
+        return studies.study(study.study_id)
 
     @contextmanager
     def conducting(self, study_id: str, interrupt: Callable[[], None]) -> Iterator[None]:

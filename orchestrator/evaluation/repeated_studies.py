@@ -135,6 +135,8 @@ def _conducted(
     if begun is None:
         begun = archive.begin(study_id, algorithm, ready.plan, seed, ready.descriptions)
     if begun.status is StudyStatus.FAILED:
+        begun = archive.try_again(begun)
+    if begun.status is StudyStatus.FAILED:
         raise StudyError(f"{begun.reason}; evaluate again")
     log = archive.log(begun.study_id)
     dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)

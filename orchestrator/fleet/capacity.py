@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +19,10 @@ PROCESS_BYTES = 75 * 2**20
 ROBOT_BYTES = 5 * 2**18
 """Memory of a robot in such a process, and of its session in the router."""
 
-
 PROCESS_FILES = 100
 ROBOT_FILES = 4
-"""Files that an agent process keeps open without its robots, and for each of them."""
+"""Files that an agent process may have open without its robots, and for each of them, which keeps
+three open while it is at rest."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Machine:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         (available_kib,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
         _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
+        files = sys.maxsize if files == resource.RLIM_INFINITY else files
         return cls(len(os.sched_getaffinity(0)), int(available_kib) * 1024, files)
 
     def room(self, *, processes: int | None) -> int:

@@ -117,7 +117,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         if study.status is StudyStatus.FAILED:
             if not had_failed:
                 raise InvalidInputError(f"{path.name} has failed meanwhile: {study.reason}")
-            study = _reopened(study, run.repository)
+            study = run.archive.try_again(study)
             write_headline(path, Headline())
         return show_study(run, ready, study, rehearses=command.rehearses)
 
@@ -190,19 +190,6 @@ def _trials(study: StudyRecord, repository: Repository) -> tuple[TrialRecord, ..
     """Return the trials of a study; of one that failed, as if those that ended it were repeated."""
     trials = repository.studies.trials(study.study_id)
     return tried_again(trials) if study.status is StudyStatus.FAILED else trials
-
-
-def _reopened(study: StudyRecord, repository: Repository) -> StudyRecord:
-    """Store that a study which has failed continues; return it as it is then."""
-    studies = repository.studies
-    trials = studies.trials(study.study_id)
-    repeated = [
-        trial.intent.goal_id
-        for trial, again in zip(trials, tried_again(trials), strict=True)
-        if again is not trial
-    ]
-    studies.reopen(study.study_id, repeated)
-    return studies.study(study.study_id)
 
 
 def _unfinished(path: Path, repository: Repository) -> StudyRecord:

@@ -71,7 +71,8 @@ class RunFolder:
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
         self.path = _reopened(root / name) if goes_on else _create(root, f"{stamp}-{name}")
-        self._held: int | None = _hold(self.path)
+        # A look by `is_in_use`, which excludes this lock, is over at once.
+        self._held: int | None = _locked(self.path, fcntl.LOCK_SH)
         self._samples: pyarrow.parquet.ParquetWriter | None = None
 
     def __enter__(self) -> RunFolder:
@@ -166,27 +167,28 @@ class RunFolder:
 
 def is_in_use(folder: Path) -> bool:
     """Return whether a command, in this process or another, is working on a run's folder."""
-    with system_errors_as(InvalidInputError, f"{folder} cannot be read"):
-        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        finally:
-            os.close(held)
+    try:
+        os.close(_locked(folder, fcntl.LOCK_EX | fcntl.LOCK_NB))
+    except BlockingIOError:
+        return True
     return False
 
 
-def _hold(folder: Path) -> int:
-    """Hold a folder until the file descriptor that is returned is closed, or the process ends."""
-    with system_errors_as(InvalidInputError, f"{folder} cannot be held"):
-        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(held)
-            raise
-    return held
+def _locked(folder: Path, lock: int) -> int:
+    """Lock a folder until the file descriptor that is returned is closed, or the process ends.
+
+    Raises:
+        InvalidInputError: The folder cannot be opened.
+        BlockingIOError: Another lock excludes this one, and it is not to be waited for.
+    """
+    with system_errors_as(InvalidInputError, f"{folder} cannot be opened"):
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(opened, lock)
+    except BaseException:
+        os.close(opened)
+        raise
+    return opened
 
 
 def study_id_of(folder: Path) -> str:
