@@ -17,6 +17,7 @@ from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.ticker import Formatter
 
 CURVES_DRAWN = 8
 """Largest number of sources in a plot; more would hide each other, so the closest are drawn."""
@@ -64,6 +65,17 @@ def drawn_colours(result: RankResult) -> dict[str, str]:
     return {source: colours[source] for source in drawn}
 
 
+def _plain_numbers() -> Formatter:
+    """Return what labels a logarithmic axis between its decades, as few as fit, as 0.2 or 30."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    return Plain()
+
+
 def _draw_curves(
     axes: Axes,
     result: RankResult,
@@ -71,8 +83,6 @@ def _draw_curves(
     true_psi: Mapping[str, FloatArray],
     colours: Mapping[str, str],
 ) -> None:
-    from matplotlib.ticker import LogFormatter
-
     for curve in curves:
         if curve.source not in colours:
             continue
@@ -92,7 +102,7 @@ def _draw_curves(
         axes.plot([], [], "--", color="black", linewidth=0.9, label="closed form")
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(LogFormatter())
+    axes.xaxis.set_minor_formatter(_plain_numbers())
     axes.set_xlim(*result.band_rad_s)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("ω [rad/s]")
