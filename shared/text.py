@@ -13,18 +13,22 @@ NAME_PATTERN = r"^[a-z0-9][a-z0-9_-]{0,62}$"
 IDENTIFIER_PATTERN = r"^[0-9a-z][0-9a-z._-]{0,199}$"
 REASON_MAX_CHARACTERS = 2000
 
+# With `$` instead of a full match, a newline at the end would be accepted.
+_NAME = re.compile(NAME_PATTERN.removesuffix("$"))
+_IDENTIFIER = re.compile(IDENTIFIER_PATTERN.removesuffix("$"))
+
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 """Characters that control a terminal, break or reorder a line, or cannot be encoded as UTF-8."""
 
 
 def is_name(text: str) -> bool:
     """Return True if a text is a valid name of a fleet, robot or axis."""
-    return _matches(NAME_PATTERN, text)
+    return _NAME.fullmatch(text) is not None
 
 
 def is_identifier(text: str) -> bool:
     """Return True if a text is a valid id of an orchestrator, goal or boot."""
-    return _matches(IDENTIFIER_PATTERN, text)
+    return _IDENTIFIER.fullmatch(text) is not None
 
 
 def printable(text: str) -> str:
@@ -82,8 +86,3 @@ def split_names(text: str) -> tuple[str, ...]:
         if names.count(name) > 1:
             raise InvalidInputError(f"{text!r} names {name} twice: name each once")
     return names
-
-
-def _matches(pattern: str, text: str) -> bool:
-    # With `$` instead of a full match, a newline at the end would be accepted.
-    return re.fullmatch(pattern.removesuffix("$"), text) is not None

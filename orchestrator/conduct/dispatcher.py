@@ -98,7 +98,7 @@ class Dispatcher:
     def _estimated(self, result: GoalResult) -> FrequencyResponse:
         # Threads that estimate at the same time take the interpreter from each other in every call
         # of NumPy, which costs more than it gains.
-        with self._estimating:
+        with self._log.ending(), self._estimating:
             return estimated(result)
 
 

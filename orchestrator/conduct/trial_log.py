@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.conduct.replay import OpenTest
@@ -59,6 +60,10 @@ class TrialLog:
     def accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
         """Store that the robot has accepted a test."""
         self._studies.accepted(accepted, epoch=self.epochs[test.robot])
+
+    def ending(self) -> AbstractContextManager[None]:
+        """Return a context in which to prepare the end of a test, so that ends share a commit."""
+        return self._studies.ending()
 
     def ended(self, test: OpenTest, end: TrialEnd) -> None:
         """Store how a test ended, with the data that it gave."""

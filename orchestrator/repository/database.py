@@ -6,7 +6,7 @@ import os
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from importlib.util import find_spec
 from typing import Any
 
@@ -110,6 +110,13 @@ class Database:
         """Return the only row of a query; None if it has none."""
         with self.read() as connection:
             return connection.execute(query).mappings().one_or_none()
+
+    def announced_write(self) -> AbstractContextManager[None]:
+        """Return a context in which to prepare work for `write_together`.
+
+        Other threads that write together wait a moment for it, so that one commit does for all.
+        """
+        return self._group.announced()
 
     def write_together(self, work: Work) -> None:
         """Run some work in one transaction with the writes of other threads.

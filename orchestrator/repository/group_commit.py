@@ -1,20 +1,28 @@
 """Commits simultaneous writes of several threads together, so that they share one disk wait.
 
 A commit waits milliseconds for the disk, and hundreds of robots may answer at once. While one
-thread commits, the writes of the others accumulate; the next thread commits all of them.
+thread commits, the writes of the others accumulate; the next thread commits all of them. Writes
+that come one after the other, since what is written is computed one at a time, are announced, and a
+commit waits a moment for them.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from sqlalchemy import Connection
 
 from nufleet.orchestrator.repository.errors import RepositoryError
+
+PATIENCE_S = 0.05
+"""Longest time in s that a commit waits for work that is announced."""
+
+ENOUGH = 8
+"""Number of writes that share a commit without waiting for more."""
 
 Work = Callable[[Connection], None]
 
@@ -47,9 +55,21 @@ class GroupCommit:
 
     def __init__(self, database: Transactions) -> None:
         self._database = database
-        self._gathering = threading.Lock()
+        self._gathering = threading.Condition()
+        self._announced = 0
         self._committing = threading.Lock()
         self._jobs: list[_Job] = []
+
+    @contextmanager
+    def announced(self) -> Iterator[None]:
+        """Prepare some work in this context, so that commits wait a moment for it."""
+        with self._gathering:
+            self._announced += 1
+        try:
+            yield
+        finally:
+            with self._gathering:
+                self._announced -= 1  # nobody is notified: the work follows at once
 
     def run(self, work: Work) -> None:
         """Run some work and return when it is on disk; if it raises an error, undo it and raise.
@@ -59,13 +79,18 @@ class GroupCommit:
         job = _Job(work)
         with self._gathering:
             self._jobs.append(job)
+            self._gathering.notify_all()
         with self._committing:
             if not job.done:
                 with self._gathering:
+                    self._gathering.wait_for(self._are_enough, PATIENCE_S)
                     jobs, self._jobs = self._jobs, []
                 self._commit(jobs)
         if job.error is not None:
             raise job.error
+
+    def _are_enough(self) -> bool:
+        return self._announced == 0 or len(self._jobs) >= ENOUGH
 
     def _commit(self, jobs: list[_Job]) -> None:
         errors: list[Exception | None] = [None] * len(jobs)

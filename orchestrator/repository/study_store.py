@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 from pydantic import JsonValue
@@ -148,6 +149,10 @@ class StudyStore:
                 is_new_acceptance(_known(connection, accepted.goal_id, epoch), accepted.boot_id)
 
         self._database.write_together(work)
+
+    def ending(self) -> AbstractContextManager[None]:
+        """Return a context in which to prepare the end of a trial, for `ended`."""
+        return self._database.announced_write()
 
     def ended(self, goal_id: str, end: TrialEnd, *, epoch: int) -> None:
         """Store how a trial ended, with the data that it gave.

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.wire.bundle import bundled, unbundled
@@ -36,6 +37,10 @@ twice as fast (`orchestrator.authority.access.STATES_HZ`), and the last of sever
 OnState = Callable[[str, bytes], None]
 """Function that takes the key of a message and an encoded state in it."""
 
+_PASSING = ("sequence", "robot_time_s", "progress")
+_lasting = attrgetter(*(name for name in RobotState.model_fields if name not in _PASSING))
+"""Returns the values of a state without what changes with time alone."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -44,7 +49,7 @@ class _Member:
     publisher: Publisher
     state: Callable[[], RobotState]
     heard: OnState
-    said: dict[str, object] | None = None
+    said: tuple[object, ...] | None = None
     sent_s: float = 0.0
 
     def send(self, state: RobotState) -> None:
@@ -193,11 +198,6 @@ class _Change(threading.Event):
     def set(self) -> None:
         super().set()
         self._mark()
-
-
-def _lasting(state: RobotState) -> dict[str, object]:
-    """Return a state without what changes with time alone."""
-    return {**dict(state), "sequence": 0, "robot_time_s": 0.0, "progress": 0.0}
 
 
 def _unsent(error: NufleetError) -> None:

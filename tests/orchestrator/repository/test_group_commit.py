@@ -13,6 +13,7 @@ from polling import PATIENCE_S, wait_until
 from repository_records import accepted, intent, measurement
 from sqlalchemy import Connection
 
+from nufleet.orchestrator.repository import group_commit
 from nufleet.orchestrator.repository.database import Database
 from nufleet.orchestrator.repository.errors import (
     RepositoryError,
@@ -144,6 +145,36 @@ def test_a_commit_that_is_interrupted_tells_nobody_that_it_stored_anything(
     ]
     intended.studies.intend(intent(attempt=THREADS + 1))
     assert statuses(intended)[-1] is TrialStatus.INTENDED
+
+
+def test_a_commit_waits_for_work_that_is_announced(
+    intended: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = intended.studies._database._group
+    batches, asked = [], threading.Event()
+    are_enough, commit = group._are_enough, group._commit
+
+    def is_asked() -> bool:
+        asked.set()
+        return are_enough()
+
+    monkeypatch.setattr(group, "_are_enough", is_asked)
+    monkeypatch.setattr(group, "_commit", lambda jobs: (batches.append(len(jobs)), commit(jobs)))
+    monkeypatch.setattr(group_commit, "PATIENCE_S", PATIENCE_S)
+    first, second = intent(attempt=1), intent(attempt=2)
+    with ThreadPoolExecutor(1) as pool:
+        with intended.studies.ending():
+            other = pool.submit(intended.studies.accepted, accepted(first), epoch=1)
+            assert asked.wait(PATIENCE_S)
+        intended.studies.ended(second.goal_id, measurement(second), epoch=1)
+        other.result(PATIENCE_S)
+    assert batches == [2]
+
+
+def test_a_commit_does_not_wait_for_ever_for_work_that_is_announced(intended: Repository) -> None:
+    with ThreadPoolExecutor(1) as pool, intended.studies.ending():
+        pool.submit(intended.studies.accepted, accepted(intent()), epoch=1).result(PATIENCE_S)
+    assert statuses(intended)[0] is TrialStatus.ACCEPTED
 
 
 def test_a_writer_after_an_error_is_not_held_up_by_it(intended: Repository) -> None:
