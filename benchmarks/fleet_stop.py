@@ -3,6 +3,7 @@
 The robots are simulated in real time by one process per core. The time counts from when the command
 is started, so that what a busy machine takes to start it is part of the figure, and ends when this
 program has heard from all robots that they are at rest. The robots themselves were there earlier.
+It is started when the robots move that can be made to move at the same time.
 
     python -m benchmarks.fleet_stop --robots 1000
     python -m benchmarks.fleet_stop --robots 100 --runs 5
@@ -16,7 +17,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,8 @@ from nufleet.shared.wire.transport import open_client
 NUFLEET = (sys.executable, "-P", "-m", "nufleet")
 MOVING = (RobotStatus.RUNNING, RobotStatus.RESTING)
 PATIENCE_S = 120.0
+NONE_BEGAN_S = 2.0
+"""Time in s without another robot that begins to move, after which all that will do."""
 
 
 class Rest:
@@ -42,6 +44,7 @@ class Rest:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._moving: set[str] = set()
+        self._began_s = float("inf")
         self._waited_for: set[str] = set()
         self.rested_s: list[float] = []
 
@@ -49,7 +52,9 @@ class Rest:
         """Take a state, on Zenoh's thread."""
         with self._changed:
             if state.status in MOVING:
-                self._moving.add(state.robot)
+                if state.robot not in self._moving:
+                    self._moving.add(state.robot)
+                    self._began_s = time.monotonic()
             else:
                 self._moving.discard(state.robot)
                 if state.status is RobotStatus.STOPPED and state.robot in self._waited_for:
@@ -57,9 +62,12 @@ class Rest:
                     self.rested_s.append(time.perf_counter())
             self._changed.notify_all()
 
-    def wait_until_most_move(self, robots: int) -> None:
-        """Wait until four fifths of the robots move at the same time."""
-        self._wait(lambda: len(self._moving) >= 0.8 * robots, "did not begin to move")
+    def wait_until_most_move(self, ranking: subprocess.Popen[bytes]) -> None:
+        """Wait until no further robot begins to move in a ranking."""
+        while time.monotonic() < self._began_s + NONE_BEGAN_S:
+            time.sleep(0.05)
+            if ranking.poll() is not None:
+                raise SystemExit(f"the ranking ended with exit code {ranking.returncode}")
 
     def stopping(self) -> int:
         """Wait from now on for all that move; return how many these are."""
@@ -69,12 +77,9 @@ class Rest:
 
     def wait_for_rest(self) -> None:
         """Wait until all that moved are at rest."""
-        self._wait(lambda: not self._waited_for, "are not at rest")
-
-    def _wait(self, until: Callable[[], bool], problem: str) -> None:
         with self._changed:
-            if not self._changed.wait_for(until, PATIENCE_S):
-                raise SystemExit(f"after {PATIENCE_S:g} s the robots {problem}")
+            if not self._changed.wait_for(lambda: not self._waited_for, PATIENCE_S):
+                raise SystemExit(f"after {PATIENCE_S:g} s robots are not at rest")
 
 
 def stopped(robots: int, processes: int) -> None:
@@ -98,7 +103,7 @@ def stopped(robots: int, processes: int) -> None:
                 stderr=subprocess.DEVNULL,
             )
             try:
-                rest.wait_until_most_move(robots)
+                rest.wait_until_most_move(rank)
                 moved, began_s = rest.stopping(), time.perf_counter()
                 command = subprocess.run(
                     (*NUFLEET, "stop", "--all", "--connect", endpoint),

@@ -14,6 +14,7 @@ import click
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.shared.errors import InvalidInputError, NufleetError, RobotLostError
+from nufleet.shared.urgency import urgent
 from nufleet.shared.wire.frame import new_order_id, stop_frame
 from nufleet.shared.wire.keys import (
     STOP,
@@ -107,6 +108,8 @@ def stop_and_print(
         keys = _keys(robots, fleet_name, principal)
         for key in keys:
             telling.put_urgent(key, frame)
+        # From now on the robots' own programs need the processor more than this one.
+        urgent(False)
         # Confirmations use a session of their own: a robot that does not read may make the router
         # hold up the session on which the stop was sent.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:

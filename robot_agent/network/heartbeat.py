@@ -30,6 +30,9 @@ HEARTBEAT_S = 0.5
 """Interval between two states while nothing changes, a small part of the silence after which a
 robot counts as lost (`orchestrator.fleet.robot_watch.HEARTBEAT_LOST_S`)."""
 
+TELLING_S = 0.2
+"""Time in s for robots to tell their news one by one, before all of them speak together."""
+
 LEAST_S = 0.004
 """Least interval between two states. The router of a closed fleet drops states that come more than
 twice as fast (`orchestrator.authority.access.STATES_HZ`), and the last of several must arrive."""
@@ -52,9 +55,9 @@ class _Member:
     said: tuple[object, ...] | None = None
     sent_s: float = 0.0
 
-    def send(self, state: RobotState) -> None:
-        """Publish a state by itself."""
-        self.publisher.put(encode(state))
+    def send(self, state: RobotState, frame: bytes) -> None:
+        """Publish a state by itself, as the frame that encodes it."""
+        self.publisher.put(frame)
         self.said, self.sent_s = _lasting(state), time.monotonic()
 
 
@@ -128,12 +131,12 @@ class Heartbeat:
         with self._sending:
             member = self._members.pop(robot)
             self._closing.wait(max(0.0, member.sent_s + LEAST_S - time.monotonic()))
+            said = self._said(robot, member)
             try:
-                member.send(member.state())
+                if said is not None:
+                    member.send(*said)
             except NufleetError as error:
                 _unsent(error)
-            except Exception:  # noqa: BLE001 - a robot that ends is not to be kept from its rest
-                _log.exception("%s cannot tell its last state", robot)
         member.publisher.withdraw()
 
     def _mark(self, robot: str) -> None:
@@ -145,32 +148,73 @@ class Heartbeat:
         while not self._closing.is_set():
             self._wake.wait(max(0.0, due_s - time.monotonic()))
             self._wake.clear()
-            marked = [self._marked.popleft() for _ in range(len(self._marked))]
+            robots = dict.fromkeys(self._marked.popleft() for _ in range(len(self._marked)))
             with self._sending:
-                all_due = time.monotonic() >= due_s
-                if all_due:
-                    due_s = time.monotonic() + HEARTBEAT_S
-                robots = self._members if all_due else dict.fromkeys(marked)
                 try:
-                    self._beat([robot for robot in robots if robot in self._members])
+                    if time.monotonic() >= due_s:
+                        robots = dict.fromkeys(self._beat())
+                        due_s = time.monotonic() + HEARTBEAT_S
+                    if not self._tell([robot for robot in robots if robot in self._members]):
+                        due_s = time.monotonic()  # which finds those that have yet to speak
                 except Exception:  # noqa: BLE001 - the next one may go well
                     _log.exception("a heartbeat failed")
             self._closing.wait(LEAST_S)
 
-    def _beat(self, robots: list[str]) -> None:
+    def _beat(self) -> list[str]:
+        """Publish all states in common messages; return the robots that have yet to speak.
+
+        They are those whose states say something new; in a closed fleet, and if there is only one,
+        all.
+        """
+        if self._common is None or len(self._members) == 1:
+            return list(self._members)
         together: dict[str, bytes] = {}
+        news = []
+        for robot, member in self._members.items():
+            said = self._said(robot, member)
+            if said is not None:
+                state, together[robot] = said
+                if _lasting(state) != member.said:
+                    news.append(robot)
+        self._publish(together)
+        return news
+
+    def _tell(self, robots: list[str]) -> bool:
+        """Publish what is new of some robots; return False if that takes too long for the others.
+
+        Each message lets all other threads of the process go first. Where hundreds of robots begin
+        to move, they all would seem to be lost before the last of them has spoken.
+        """
+        together: dict[str, bytes] = {}
+        until_s = time.monotonic() + TELLING_S
         for robot in robots:
+            if self._common is not None and time.monotonic() >= until_s:
+                return False
             member = self._members[robot]
+            said = self._said(robot, member)
+            if said is None:
+                continue
+            state, frame = said
+            if self._common is not None and len(robots) > 1 and _lasting(state) == member.said:
+                together[robot] = frame
+                continue
             try:
-                state = member.state()
-                if self._common is not None and len(robots) > 1 and _lasting(state) == member.said:
-                    together[robot] = encode(state)
-                else:
-                    member.send(state)
+                member.send(state, frame)
             except NufleetError as error:
                 _unsent(error)
-            except Exception:  # noqa: BLE001 - it counts as lost; the others are not to
-                _log.exception("%s cannot tell its state", robot)
+        self._publish(together)
+        return True
+
+    def _said(self, robot: str, member: _Member) -> tuple[RobotState, bytes] | None:
+        """Return a robot's present state and its frame; None if it cannot tell it."""
+        try:
+            state = member.state()
+            return state, encode(state)
+        except Exception:  # noqa: BLE001 - it counts as lost; the others are not to
+            _log.exception("%s cannot tell its state", robot)
+            return None
+
+    def _publish(self, together: dict[str, bytes]) -> None:
         if self._common is not None:
             try:
                 for message in bundled(together, most_bytes=MAX_STATES_BYTES):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import cast
@@ -44,10 +45,12 @@ class Machine:
     name: str
     progress: float = 0.0
     sequence: int = 0
+    status: RobotStatus = RobotStatus.IDLE
 
     def state(self) -> RobotState:
         self.sequence += 1
-        return a_state(self.name, self.sequence, self.progress)
+        said = a_state(self.name, self.sequence, self.progress)
+        return said.model_copy(update={"status": self.status})
 
 
 @dataclass
@@ -58,6 +61,7 @@ class Wire:
     sent: list[tuple[str, bytes]] = field(default_factory=list)
     handlers: dict[str, OnState] = field(default_factory=dict)
     broken: bool = False
+    takes_s: float = 0.0
 
     def states_publisher(self, key: str) -> WirePublisher:
         return WirePublisher(self, key)
@@ -102,6 +106,7 @@ class WirePublisher:
     def put(self, payload: bytes) -> None:
         if self.wire.broken:
             raise TransportError("the link is gone")
+        time.sleep(self.wire.takes_s)
         self.wire.sent.append((self.key, payload))
 
     def withdraw(self) -> None:
@@ -111,6 +116,7 @@ class WirePublisher:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heartbeat_module, "HEARTBEAT_S", 0.02)
+    monkeypatch.setattr(heartbeat_module, "TELLING_S", 0.05)
 
 
 @pytest.fixture
@@ -172,6 +178,22 @@ def test_what_is_longer_than_a_message_is_sent_in_several(
     joined(heartbeat, *map(Machine, sorted(names)))
     wait_until(lambda: {name for many in wire.together for name in many} == names)
     assert all(len(payload) <= 3000 for _, payload in wire.sent)
+
+
+def test_all_robots_are_heard_of_while_many_have_news(wire: Wire, heartbeat: Heartbeat) -> None:
+    machines = [Machine(f"r{k}") for k in range(64)]
+    joined(heartbeat, *machines)
+    wait_until(lambda: len(wire.alone) == len(machines))
+    before = len(wire.sent)
+    wire.takes_s = 0.005  # so that the news take as long as many heartbeats
+    for machine in machines:
+        machine.status = RobotStatus.RUNNING
+        heartbeat.change(machine.name).set()
+    wait_until(lambda: len(wire.alone) == 2 * len(machines))
+    news = [key != KEYS.states for key, _ in wire.sent[before:]]
+    while not news[-1]:
+        news.pop()
+    assert news.count(False) >= 3, news
 
 
 def test_a_robot_alone_on_its_session_sends_its_states_by_themselves(
@@ -330,4 +352,4 @@ def test_a_robot_that_cannot_tell_its_last_state_leaves_all_the_same(
         raise ZeroDivisionError
 
     heartbeat.join("broken", state, unheard)()
-    assert "broken cannot tell its last state" in caplog.text
+    assert "broken cannot tell its state" in caplog.text
