@@ -15,6 +15,7 @@ from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES, SHUTTING_DOW
 from nufleet.robot_agent.rules.supervisor import StopOrder
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.wire.codec import Message, decode
+from nufleet.shared.wire.frame import NOT_KILLED
 from nufleet.shared.wire.keys import FleetKeys, principal_of
 from nufleet.shared.wire.messages import Done, Refusal, StopRequest
 
@@ -154,7 +155,7 @@ class StopService:
                 _log.error("%s: its motors could not be cut: %r", self._robot, error)
                 text = f"it was stopped, but its motors were not cut: {error}"
                 self._decisions.cut(None)
-                answer.set_result(Refusal(code="not-killed", reason=text))
+                answer.set_result(Refusal(code=NOT_KILLED, reason=text))
             else:
                 self._decisions.cut(f"its motors were cut by {order.sender}: {order.reason}")
                 answer.set_result(Done())

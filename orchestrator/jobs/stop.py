@@ -13,9 +13,9 @@ import click
 
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
-from nufleet.shared.errors import InvalidInputError, NufleetError, RobotLostError
+from nufleet.shared.errors import InvalidInputError, NufleetError, RefusedError, RobotLostError
 from nufleet.shared.urgency import urgent
-from nufleet.shared.wire.frame import new_order_id, stop_frame
+from nufleet.shared.wire.frame import NOT_KILLED, new_order_id, stop_frame
 from nufleet.shared.wire.keys import (
     STOP,
     FleetKeys,
@@ -116,10 +116,7 @@ def stop_and_print(
             for key in keys:
                 asking.put_urgent(key, frame)
             fleets = tuple(sorted({fleet for fleet, _ in robots_at(asking)}))
-            confirmed = _all_confirm(asking, fleets, order, robots, fleet_name)
-    if not confirmed:
-        _print_failure("Stop these robots by hand.")
-    return confirmed
+            return _all_confirm(asking, fleets, order, robots, fleet_name)
 
 
 def release_and_print(endpoint: str, fleet_name: str | None, robots: tuple[str, ...]) -> bool:
@@ -138,7 +135,7 @@ def release_and_print(endpoint: str, fleet_name: str | None, robots: tuple[str, 
 
     refused: set[str] = set()
 
-    def told(robot: str, why: str | None) -> None:
+    def told(robot: str, why: NufleetError | None) -> None:
         if why is None:
             click.echo(f"{robot} may move again", err=True)
         else:
@@ -154,9 +151,9 @@ def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str,
     """Stop the named robots, and return the reason for each robot that did not confirm."""
     unconfirmed: dict[str, str] = {}
 
-    def told(target: _Target, why: str | None) -> None:
+    def told(target: _Target, why: NufleetError | None) -> None:
         if why is not None:
-            unconfirmed[target.robot] = why
+            unconfirmed[target.robot] = str(why)
 
     order = _Order(fleet.orchestrator_id, reason, False, None)
     _stop([_Target(fleet, "", robot) for robot in robots], order, told)
@@ -207,11 +204,15 @@ def _all_confirm(
     fleets = {name: Fleet(session, FleetKeys(name), order.sender) for name in names}
     asked: set[_Target] = set()
     unconfirmed: set[_Target] = set()
+    not_cut: set[_Target] = set()
 
-    def told(target: _Target, why: str | None) -> None:
+    def told(target: _Target, why: NufleetError | None) -> None:
         name = target.robot if len(fleets) == 1 else f"{target.fleet_name}/{target.robot}"
         if why is None:
             click.echo(f"{name} is stopped{', its motors are cut' if order.kill else ''}", err=True)
+        elif isinstance(why, RefusedError) and why.code == NOT_KILLED:
+            not_cut.add(target)
+            _print_failure(f"{name}: {why.reason}")
         else:
             unconfirmed.add(target)
             _print_failure(f"{name} DID NOT CONFIRM ITS STOP: {why}")
@@ -228,7 +229,9 @@ def _all_confirm(
             f"a stop was sent to {everyone if robots is None else ', '.join(robots)}, "
             f"but no robot can confirm it: there are {found} at the router"
         )
-    return not unconfirmed
+    if unconfirmed:
+        _print_failure("Stop these robots by hand.")
+    return not unconfirmed and not not_cut
 
 
 def _targets(fleets: dict[str, Fleet], robots: tuple[str, ...] | None) -> list[_Target]:
@@ -247,7 +250,7 @@ def _print_failure(sentence: str) -> None:
 
 
 def _stop(
-    targets: list[_Target], order: _Order, told: Callable[[_Target, str | None], None]
+    targets: list[_Target], order: _Order, told: Callable[[_Target, NufleetError | None], None]
 ) -> None:
     """Stop all robots at once, and report the answer of each as soon as it is known."""
 
@@ -258,19 +261,19 @@ def _stop(
 
 
 def _ask_at_once(
-    targets: Sequence[T], ask: Callable[[T], None], told: Callable[[T, str | None], None]
+    targets: Sequence[T], ask: Callable[[T], None], told: Callable[[T, NufleetError | None], None]
 ) -> None:
     """Ask all targets at once; report why each one failed, or None, as soon as it is known."""
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
-    def ask_one(target: T) -> str | None:
+    def ask_one(target: T) -> NufleetError | None:
         try:
             ask(target)
         except NufleetError as error:
-            return str(error)
+            return error
         except Exception as error:  # noqa: BLE001 - one robot's trouble must not hide the others'
             _log.exception("asking %r failed", target)
-            return f"an unexpected error: {error!r}"
+            return NufleetError(f"an unexpected error: {error!r}")
         return None
 
     with ThreadPoolExecutor(max(1, min(MOST_AT_ONCE, len(targets)))) as pool:

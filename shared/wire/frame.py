@@ -23,6 +23,10 @@ PREFIX_BYTES = len(MAGIC) + LENGTHS.size
 CHECKSUM = struct.Struct("<I")
 
 
+NOT_KILLED = "not-killed"
+"""Code of the answer of a robot that is stopped, and whose motors could not be cut."""
+
+
 def framed(head: bytes, body: bytes, arrays: Sequence[bytes] = ()) -> bytes:
     """Return a frame.
 

@@ -79,6 +79,17 @@ def test_a_name_that_cannot_be_one_keeps_no_other_robot_from_being_stopped(lab: 
     assert done.returncode == 1
 
 
+def test_a_robot_without_a_switch_is_stopped_and_said_to_be_so(lab: Lab) -> None:
+    orchestrator = moving(lab, "a")
+    done = nufleet(lab, "stop", "--all", "--kill")
+    assert done.stderr == (
+        "a: it was stopped, but its motors were not cut: the driver of this robot has no way of "
+        "cutting its motors\n"
+    )
+    assert done.returncode == 1
+    stopped(orchestrator, "a")
+
+
 def test_a_stop_of_all_stops_every_fleet_at_the_router(lab: Lab) -> None:
     orchestrator = moving(lab, "a")
     other = PuppetRobot()
