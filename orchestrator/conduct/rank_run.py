@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from operator import call
 from typing import Any
@@ -47,6 +49,7 @@ from nufleet.orchestrator.study.transfer_verdicts import (
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, worst_case_chordal_distance
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
@@ -277,15 +280,18 @@ def _common_band(descriptions: Any) -> tuple[float, float]:
 def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
     """Return max ψ_n(ω) over the band for the sources whose model, like the target's, is known."""
     at_target = descriptions[plan.target].spec.axis(plan.axis).model
-    known: dict[str, ClosedForm] = {}
-    if plan.also:
-        return known  # robots state no model of what their axes do to each other
-    for source in plan.sources:
-        model = descriptions[source].spec.axis(plan.axis).model
-        if at_target is not None and model is not None:
-            psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
-            known[source] = ClosedForm(psi=psi, omega_rad_s=omega)
-    return known
+    if at_target is None or plan.also:
+        return {}  # robots state no model of what their axes do to each other
+    stated = {one: descriptions[one].spec.axis(plan.axis).model for one in plan.sources}
+    models = {source: model for source, model in stated.items() if model is not None}
+
+    def compared(model: LinearModel) -> ClosedForm:
+        psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
+        return ClosedForm(psi=psi, omega_rad_s=omega)
+
+    # Most of this is linear algebra of NumPy, which leaves the interpreter to other threads.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return dict(zip(models, pool.map(compared, models.values()), strict=True))
 
 
 def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:
