@@ -69,7 +69,7 @@ class GroupCommit:
             yield
         finally:
             with self._gathering:
-                self._announced -= 1  # nobody is notified: the work follows at once
+                self._announced -= 1  # without a notice: the work follows at once
 
     def run(self, work: Work) -> None:
         """Run some work and return when it is on disk; if it raises an error, undo it and raise.
