@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from operator import call
 from typing import Any
 
@@ -49,7 +50,6 @@ from nufleet.orchestrator.study.transfer_verdicts import (
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, worst_case_chordal_distance
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
@@ -284,14 +284,11 @@ def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> di
         return {}  # robots state no model of what their axes do to each other
     stated = {one: descriptions[one].spec.axis(plan.axis).model for one in plan.sources}
     models = {source: model for source, model in stated.items() if model is not None}
-
-    def compared(model: LinearModel) -> ClosedForm:
-        psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
-        return ClosedForm(psi=psi, omega_rad_s=omega)
-
+    farthest = partial(worst_case_chordal_distance, at_target, omega_band_rad_s=plan.band_rad_s)
     # Most of this is linear algebra of NumPy, which leaves the interpreter to other threads.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return dict(zip(models, pool.map(compared, models.values()), strict=True))
+        found = zip(models, pool.map(farthest, models.values()), strict=True)
+        return {source: ClosedForm(psi=psi, omega_rad_s=omega) for source, (psi, omega) in found}
 
 
 def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:

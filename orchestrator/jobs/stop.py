@@ -6,6 +6,7 @@ Nothing heavy is imported before the stops are sent, because a person waits for 
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -14,7 +15,6 @@ import click
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.shared.errors import InvalidInputError, NufleetError, RefusedError, RobotLostError
-from nufleet.shared.urgency import urgent
 from nufleet.shared.wire.frame import NOT_KILLED, new_order_id, stop_frame
 from nufleet.shared.wire.keys import (
     STOP,
@@ -108,8 +108,9 @@ def stop_and_print(
         keys = _keys(robots, fleet_name, principal)
         for key in keys:
             telling.put_urgent(key, frame)
-        # From now on the robots' own programs need the processor more than this one.
-        urgent(False)
+        if os.getpriority(os.PRIO_PROCESS, 0) < 0:
+            # From now on the robots' own programs need the processor more than this one.
+            os.setpriority(os.PRIO_PROCESS, 0, 0)
         # Confirmations use a session of their own: a robot that does not read may make the router
         # hold up the session on which the stop was sent.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:
