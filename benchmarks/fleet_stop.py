@@ -35,7 +35,7 @@ NUFLEET = (sys.executable, "-P", "-m", "nufleet")
 MOVING = (RobotStatus.RUNNING, RobotStatus.RESTING)
 PATIENCE_S = 120.0
 NONE_BEGAN_S = 2.0
-"""Time in s without another robot that begins to move, after which all that will do."""
+"""Time in s without another robot that begins to move, after which as many move as will."""
 
 
 class Rest:
@@ -45,6 +45,7 @@ class Rest:
         self._changed = threading.Condition()
         self._moving: set[str] = set()
         self._began_s = float("inf")
+        self._ended = False
         self._waited_for: set[str] = set()
         self.rested_s: list[float] = []
 
@@ -56,6 +57,7 @@ class Rest:
                     self._moving.add(state.robot)
                     self._began_s = time.monotonic()
             else:
+                self._ended |= state.robot in self._moving
                 self._moving.discard(state.robot)
                 if state.status is RobotStatus.STOPPED and state.robot in self._waited_for:
                     self._waited_for.discard(state.robot)
@@ -63,8 +65,8 @@ class Rest:
             self._changed.notify_all()
 
     def wait_until_most_move(self, ranking: subprocess.Popen[bytes]) -> None:
-        """Wait until no further robot begins to move in a ranking."""
-        while time.monotonic() < self._began_s + NONE_BEGAN_S:
+        """Wait until no further robot begins to move in a ranking, or the first one has ended."""
+        while not self._ended and time.monotonic() < self._began_s + NONE_BEGAN_S:
             time.sleep(0.05)
             if ranking.poll() is not None:
                 raise SystemExit(f"the ranking ended with exit code {ranking.returncode}")

@@ -390,9 +390,9 @@ class Fleet:
             self._know(state)
 
     def _know(self, state: RobotState) -> None:
-        self.watch(state.robot).set_state(state)
-        for observer in self._state_observers:
-            _tell(partial(observer, state))
+        if self.watch(state.robot).set_state(state):
+            for observer in self._state_observers:
+                _tell(partial(observer, state))
 
     def _on_telemetry(
         self, kind: type[R], observers: list[Callable[[str, R], None]], key: str, payload: bytes

@@ -48,16 +48,17 @@ class RobotWatch:
             self._heard_s = time.monotonic()
             self._tell(TokenBack() if alive else TokenLost())
 
-    def set_state(self, state: RobotState) -> None:
-        """Record a state, unless it is older than the last one of the same boot."""
+    def set_state(self, state: RobotState) -> bool:
+        """Record a state and return True; do neither if it is no later one of the same boot."""
         with self._changed:
             last = self._state
             same_boot = last is not None and last.boot_id == state.boot_id
             if last is not None and same_boot and state.sequence <= last.sequence:
-                return
+                return False
             self._state = state
             self._heard_s = time.monotonic()
             self._tell(Heard(state))
+            return True
 
     def wait_until(self, condition: Callable[[RobotWatch], bool], *, timeout_s: float) -> bool:
         """Wait until a condition on this watch holds.

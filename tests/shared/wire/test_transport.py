@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import queue
 import signal
+import subprocess
+import sys
 import threading
 import time
 import tracemalloc
@@ -241,6 +243,42 @@ def test_serving_everything_below_a_key_leaves_its_states_history_alone(
     served(late, "lab/robot/a/goal")
     assert asked
     assert set(asked) == {"lab/robot/a/goal"}
+
+
+LISTENER = """
+import sys
+from nufleet.shared.wire.limits import MAX_STATES_BYTES
+from nufleet.shared.wire.transport import open_client
+
+with open_client(sys.argv[1], timeout_s=60.0) as session:
+    def listen(key, payload):
+        print(payload[0], flush=True)
+    session.subscribe("states", listen, max_bytes=MAX_STATES_BYTES)
+    sys.stdin.read()
+"""
+
+
+def test_a_program_that_does_not_get_the_processor_misses_no_states_of_many_robots(
+    clients: Callable[[], Session], endpoint: str
+) -> None:
+    states = clients().states_publisher("states")
+    with subprocess.Popen(
+        [sys.executable, "-c", LISTENER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as listener:
+        assert listener.stdin is not None
+        assert listener.stdout is not None
+        wait_until(lambda: states.heard)
+        listener.send_signal(signal.SIGSTOP)
+        for number in range(8):  # as much as 500 robots say in two seconds
+            states.put(bytes([number]) * 100_000)
+            time.sleep(0.05)  # so that it is the router that waits, not this session
+        listener.send_signal(signal.SIGCONT)
+        states.put(bytes([8]))
+        heard = []
+        while heard[-1:] != [8]:
+            heard.append(int(listener.stdout.readline()))
+        listener.stdin.close()
+    assert heard == list(range(9))
 
 
 def test_a_publisher_that_appears_later_is_heard_too(clients: Callable[[], Session]) -> None:
