@@ -280,8 +280,9 @@ def _common_band(descriptions: Any) -> tuple[float, float]:
 def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
     """Return max ψ_n(ω) over the band for the sources whose model, like the target's, is known."""
     at_target = descriptions[plan.target].spec.axis(plan.axis).model
+    # Robots state no model of what their axes do to each other.
     if at_target is None or plan.also:
-        return {}  # robots state no model of what their axes do to each other
+        return {}
     stated = {one: descriptions[one].spec.axis(plan.axis).model for one in plan.sources}
     models = {source: model for source, model in stated.items() if model is not None}
     farthest = partial(worst_case_chordal_distance, at_target, omega_band_rad_s=plan.band_rad_s)

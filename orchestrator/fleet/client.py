@@ -168,7 +168,7 @@ class Fleet:
         return bool(self._session.alive(key, timeout_s=QUERY_TIMEOUT_S))
 
     def observe_states(self, observer: Callable[[RobotState], None]) -> None:
-        """Call an observer with every state that arrives."""
+        """Call an observer with every state, unless a later one of its robot came before it."""
         self._state_observers.append(observer)
 
     def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:

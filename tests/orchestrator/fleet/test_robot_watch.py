@@ -29,7 +29,9 @@ def test_an_older_state_of_the_same_boot_is_passed_over() -> None:
     watch = RobotWatch("a")
     assert watch.state is None
     for sequence, latest in ((3, 3), (2, 3), (3, 3), (4, 4)):
-        watch.set_state(state(sequence, status="running" if sequence == 3 else "idle"))
+        before = watch.state
+        news = watch.set_state(state(sequence, status="running" if sequence == 3 else "idle"))
+        assert news == (watch.state is not before)
         assert watch.state is not None
         assert watch.state.sequence == latest
 
