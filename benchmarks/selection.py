@@ -66,6 +66,9 @@ class Row:
     robot_time_s: float
     robot_time_98_s: float | None
     robot_time_as_default_s: float | None
+    """Robot time from which on it is as right as the default in the end."""
+    default_as_right_s: float | None
+    """Robot time of the default from which on that is as right as this method in the end."""
     claimed_mean: float | None
     claims: int
     claims_right: float | None
@@ -100,7 +103,8 @@ def outcomes_of(
 
 def rows_of(fleets: Sequence[dict[str, Outcome]]) -> list[Row]:
     """Summarise one setting."""
-    default_right = float(np.mean([f["default"].regret[-1] < RIGHT_BELOW for f in fleets]))
+    of_default = _by_round([fleet["default"] for fleet in fleets])
+    default_right = float(of_default[0][-1])
     rows = []
     for method in fleets[0]:
         outcomes = [fleet[method] for fleet in fleets]
@@ -118,6 +122,7 @@ def rows_of(fleets: Sequence[dict[str, Outcome]]) -> list[Row]:
                 robot_time_s=float(times[-1]),
                 robot_time_98_s=_time_to(right, times, WANTED),
                 robot_time_as_default_s=_time_to(right, times, default_right),
+                default_as_right_s=_time_to(*of_default, float(right[-1])),
                 claimed_mean=_mean([o.confidence or 0.0 for o in claimed]),
                 claims=len(sure),
                 claims_right=_mean([float(o.regret[-1] < RIGHT_BELOW) for o in sure]),
@@ -155,6 +160,13 @@ def show(setting: Setting, rows: Sequence[Row], fleets: int) -> None:
         if other in at:
             times = ours_s / at[other].robot_time_s
             print(f"  the default needs {times:.2f} times {called} robot-seconds", flush=True)
+    if "long-multitone" in at:
+        long = at["long-multitone"]
+        as_right_s = long.default_as_right_s
+        after = "never"
+        if as_right_s is not None:
+            after = f"after {as_right_s / long.robot_time_s:.2f} times its robot-seconds"
+        print(f"  it is as right as the long test {after}", flush=True)
     if "algorithm-1" not in at:
         return
     ours, paper = at["default"].robot_time_as_default_s, at["algorithm-1"].robot_time_as_default_s

@@ -14,6 +14,7 @@ from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.robot_knowledge import VARIANCE_MIN, RobotKnowledge
 from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse
 from nufleet.shared.frequency_test.quality import BoolArray
@@ -97,7 +98,12 @@ class AxesKnowledge:
         self._crosses: dict[tuple[str, str], _Cross] = {}
 
     def learn(
-        self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
+        self,
+        response: FrequencyResponse,
+        rng: np.random.Generator,
+        *,
+        asked: Excitation | None = None,
+        check: bool = True,
     ) -> None:
         """Learn the usable estimates of a test or flight on all compared axes that it played.
 
@@ -105,6 +111,7 @@ class AxesKnowledge:
             response: Response that it measured; where it does not name its axis, there is only
                 one.
             rng: Generator that draws the responses expected from the earlier tests.
+            asked: Test that was asked for; None if that is not known.
             check: Whether to look for contradictions; see `RobotKnowledge.learn`.
 
         Raises:
@@ -114,8 +121,13 @@ class AxesKnowledge:
         self._crosses.clear()
         for axis, known in self.axes.items():
             own = self.own(response, axis)
-            if own is not None:
-                known.learn(own, rng, check=check)
+            if own is None:
+                continue
+            known.learn(own, rng, check=check)
+            for one in () if asked is None else asked.played:
+                if one.axis == axis:
+                    omega = np.array([tone.omega_rad_s for tone in one.tones])
+                    known.compare_to_asked(own.omega_rad_s, omega)
 
     def own(self, response: FrequencyResponse, axis: str) -> FrequencyResponse | None:
         """Return what a response of the robot says of one axis; None if it does not play it."""

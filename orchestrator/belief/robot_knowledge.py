@@ -35,6 +35,13 @@ no effect."""
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
 
+RETRY = 0.5
+HIDES = 0.08
+ELSEWHERE = 0.5
+"""Measuring time of a test relative to that of its repetition at fewer tones; least standard
+deviation of estimates with which noise hides a whole test; and that of the response to such a test
+which noise did not hide, as a multiple of the response to its repetition."""
+
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
 
@@ -149,6 +156,30 @@ class RobotKnowledge:
                 self._find(finding.text)
             if finding.code == "ringing":
                 self.expect_settling(finding.value or 0.0)
+
+    def compare_to_asked(self, played_rad_s: FloatArray, asked_rad_s: FloatArray) -> None:
+        """Doubt all tests if a repetition at fewer tones shows more than noise hid at all of them.
+
+        A robot that answers to a few tones as a linear one with little noise, and to more of them
+        as if all were noise, is driven into its limits by these. What it does in the motion that
+        was asked for is then as good as unknown.
+
+        Args:
+            played_rad_s: Frequencies of the test that was learned last in rad/s, shape (tones,).
+            asked_rad_s: Frequencies that it was asked for in rad/s, shape (asked,).
+        """
+        if len(played_rad_s) >= len(asked_rad_s):
+            return
+        noise = self.expected_variance(asked_rad_s, RETRY)
+        if float(np.median(noise)) > HIDES**2:
+            return
+        self._find(
+            f"it answers to {len(asked_rad_s)} tones at once as if most of it were noise, and not "
+            f"to {len(played_rad_s)} of them: its actuators are at their limits, and its response "
+            "to motions as large is not known; test smaller ones by --amplitude"
+        )
+        self._test_doubt += ELSEWHERE**2 * float(np.mean(np.abs(self._tones[-1].z) ** 2))
+        self._revise()
 
     def expect_settling(self, settling_time_s: float) -> None:
         """Believe that the robot settles more slowly than was known.

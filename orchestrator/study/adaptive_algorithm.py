@@ -119,9 +119,9 @@ class AdaptiveStudy:
         if question is None:
             raise ValueError("nothing was asked")
         self._open = None
-        for name in question.tests:
+        for name, asked in question.tests.items():
             if name in responses:
-                self._robots[name].learn(responses[name], self._rng)
+                self._robots[name].learn(responses[name], self._rng, asked=asked)
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
         self._share_doubt()

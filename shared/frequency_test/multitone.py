@@ -1,4 +1,4 @@
-"""Several tones in one excitation, on one axis or interleaved over several, with a low crest."""
+"""Several tones in one excitation, on one axis or interleaved over several, with low peaks."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.robots.joint_limits import joint_share
 from nufleet.shared.robots.spec import AxisSpec
 
-CLIPPING_ROUNDS = 60
-"""Number of clipping iterations in the search for phases."""
+PHASES_DRAWN = 100
+"""Number of random choices of the phases, of which the one with the lowest peaks is played."""
+
+DERIVATIVES = (0, 1, 2)
+"""Orders of the derivatives whose peaks count: position, speed and acceleration."""
 
 RAMPED = 0.6
 """Share of the limits that tones may take, so that ramps, which add to them, find room."""
 
 SAMPLES_PER_PERIOD = 8
-"""Samples per period of the fastest tone during the search; more would find the same phases."""
+"""Samples per period of the fastest tone among which peaks are looked for; more would find the same
+phases."""
 
 
 def multitone(
     base_rad_s: float, harmonics: Sequence[tuple[int, ...]], weights: Sequence[FloatArray]
 ) -> tuple[tuple[Tone, ...], ...]:
-    """Return tones at multiples of a base frequency, with phases that keep their peak low.
+    """Return tones at multiples of a base frequency, with random phases of low peaks.
 
     Args:
         base_rad_s: Base frequency; all sums repeat after 2π / base.
@@ -39,7 +43,7 @@ def multitone(
             Tone(omega_rad_s=harmonic * base_rad_s, weight=float(weight), phase_rad=float(phase))
             for harmonic, weight, phase in zip(*axis, strict=True)
         )
-        for axis in zip(harmonics, weights, low_crest_phases(harmonics, weights), strict=True)
+        for axis in zip(harmonics, weights, random_phases(harmonics, weights), strict=True)
     )
 
 
@@ -106,63 +110,40 @@ def largest_amplitudes(
     return tuple(share * amplitude for amplitude in amplitudes)
 
 
-def low_crest_phases(
+def random_phases(
     harmonics: Sequence[tuple[int, ...]], weights: Sequence[FloatArray]
 ) -> tuple[FloatArray, ...]:
-    """Return phases φ that make the largest length of the vector of all axes' sums small.
+    """Return random phases φ, the same ones whenever these tones are asked for.
 
-    Each axis has its own sum Σ w sin(h t + φ); the length of a vector of one is its magnitude.
-
-    The search starts from Schroeder's phases (IEEE Trans. Inf. Theory 16, 1970) and iterates the
-    method of Van der Ouderaa, Schoukens and Renneboog (IEEE Trans. Instrum. Meas. 37, 1988): clip
-    the signal, then give the tones the phases of the clipped signal. For several axes, the vector
-    is shortened in its own direction. The best phases of all iterations are returned.
+    A nonlinear robot answers to tones of random phases as to any normally distributed motion of
+    the same spectrum (Pintelon and Schoukens, System Identification, 2nd ed., 2012, chapter 3), but
+    only on average over many random choices. A single one is the closer to that, and the larger the
+    tones may be, the lower its peaks are, of position, speed and acceleration alike: phases of a
+    low peak of the position alone drive actuators into their limits. So that of many random choices
+    is returned whose largest crest factor is lowest. Where several axes play, the peaks are those
+    of the length of their vector.
 
     Args:
-        harmonics: Increasing multiples h of the base frequency, one per tone, for each axis.
+        harmonics: Increasing multiples h of the base frequency, one per tone, for each axis, of
+            their sums Σ w sin(h t + φ).
         weights: Relative amplitudes w, positive, of shape (tones,) for each axis.
 
     Returns:
         Phases in rad, of shape (tones,) for each axis.
     """
-    if all(len(own) == 1 for own in harmonics):
-        return tuple(np.zeros(1) for _ in harmonics)
-    orders = [np.array(own) for own in harmonics]
-    samples = SAMPLES_PER_PERIOD * max(int(own[-1]) for own in orders)
-    phases = [schroeder_phases(own) for own in weights]
-    best, best_crest = phases, np.inf
-    for round_ in range(CLIPPING_ROUNDS):
-        signals = np.empty((len(orders), samples))
-        for signal, order, weight, phase in zip(signals, orders, weights, phases, strict=True):
-            spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
-            # w sin(h t + φ) has the one-sided spectrum −j/2 w e^{jφ}, times the signal's length.
-            spectrum[order] = -0.5j * samples * weight * np.exp(1j * phase)
-            signal[:] = np.fft.irfft(spectrum, samples)
-        length = np.sqrt(np.sum(signals**2, axis=0))
-        peak = float(np.max(length))
-        if peak < best_crest:
-            best, best_crest = phases, peak
-        # Clip less and less: hard clipping moves the phases far, soft clipping lets them settle.
-        level = peak * (0.8 + 0.19 * round_ / CLIPPING_ROUNDS)
-        bounds = level * (np.abs(signals) / np.where(length > 0, length, 1.0))
-        clipped = np.fft.rfft(np.clip(signals, -bounds, bounds))
-        phases = [
-            np.angle(one[order]) + np.pi / 2 for one, order in zip(clipped, orders, strict=True)
-        ]
-    return tuple(best)
-
-
-def schroeder_phases(weights: FloatArray) -> FloatArray:
-    """Return Schroeder's phases φ_k = −2π Σ_{l<k} (k − l) p_l, p_l being tone l's share of power.
-
-    Args:
-        weights: Relative amplitudes, shape (tones,).
-
-    Returns:
-        Phases in rad, shape (tones,).
-    """
-    power = weights**2 / np.sum(weights**2)
-    return np.asarray(-2 * np.pi * np.concatenate([[0.0], np.cumsum(np.cumsum(power))[:-1]]))
+    rng = np.random.default_rng([harmonic for own in harmonics for harmonic in own])
+    samples = SAMPLES_PER_PERIOD * max(own[-1] for own in harmonics)
+    times = np.linspace(0.0, 2 * np.pi, samples, endpoint=False)
+    drawn = [rng.uniform(0.0, 2 * np.pi, (PHASES_DRAWN, len(own))) for own in harmonics]
+    crests = []
+    for order in DERIVATIVES:
+        squared = np.zeros((PHASES_DRAWN, samples))
+        for own, weight, phases in zip(harmonics, weights, drawn, strict=True):
+            phasors = weight * (1j * np.array(own)) ** order * np.exp(1j * phases)
+            squared += (phasors @ np.exp(1j * np.outer(own, times))).imag ** 2
+        crests.append(squared.max(axis=1) / squared.mean(axis=1))
+    lowest = int(np.argmin(np.max(crests, axis=0)))
+    return tuple(phases[lowest] for phases in drawn)
 
 
 def _factors_of_three(number: int) -> int:

@@ -44,17 +44,19 @@ def nonlinear(distortion: float) -> Finding | None:
 
 
 def nonlinearity_in_words(larger: ComplexArray, smaller: ComplexArray) -> str:
-    """Return which nonlinearity changes a response like this; empty if none is known to.
+    """Return which nonlinearity changes a response like this; empty if that cannot be told.
 
     What saturates holds back large motions, mostly fast ones: they are smaller and later. What
     sticks, is slack or dead holds back small ones, as far as it acts: friction takes off amplitude
-    at all frequencies, backlash delays, and a dead zone weakens the loop, so that slow motions
-    overshoot and fast ones are smaller.
+    at all frequencies, backlash delays, and a dead zone weakens the loop, so that fast motions are
+    smaller and slow ones hardly overshoot. A spring that hardens holds back large slow motions.
 
     Args:
         larger: Response at the larger of two amplitudes, at rising frequencies, shape (tones,).
         smaller: Response at the smaller one, shape (tones,).
     """
+    if len(larger) < 2:
+        return ""
     middle = (len(larger) + 1) // 2
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log(smaller / larger)
@@ -62,7 +64,7 @@ def nonlinearity_in_words(larger: ComplexArray, smaller: ComplexArray) -> str:
     slow, fast = ratio[:middle].mean(), ratio[middle:].mean()
     if fast.real > 0 and fast.imag > 0:
         return ", as with an actuator that saturates or is slow to change"
-    if slow.real > 0 > fast.real:
+    if 0 < slow.real < -fast.real:
         return ", as with a dead zone"
     if slow.real < 0 and fast.real < 0:
         later = -float(ratio.imag.mean()) > -float(ratio.real.mean())

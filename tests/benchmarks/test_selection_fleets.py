@@ -74,13 +74,14 @@ SAID = {
     "dead-zone": "dead zone",
     "backlash": "backlash",
     "friction": "friction",
+    "hardening": "hardens",
 }
 
 
 @pytest.mark.parametrize(("kind", "word"), SAID.items())
 def test_what_half_the_amplitude_does_tells_most_nonlinearities_apart(kind: str, word: str) -> None:
     said = []
-    for seed in range(4):
+    for seed in range(12):
         rng = np.random.default_rng([seed, 5])
         robot = TestedRobot(NONLINEAR[kind](rng), 0.0, rng)
         choice = first_look((0.1, 5.4), robot.spec, 11, 0.7)

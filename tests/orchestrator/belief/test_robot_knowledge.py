@@ -70,6 +70,34 @@ def test_a_response_that_changes_between_tests_is_said_and_believed_less(changed
     assert spread(moved, rng) > 2 * spread(steady, rng)
 
 
+def after_a_repetition(noise: float, rng: np.random.Generator) -> tuple[RobotKnowledge, float]:
+    """Return what is known of a robot that was asked for a first look and played half of it."""
+    known = RobotKnowledge("robot", SPEC, BAND[1])
+    asked = first_look(BAND, SPEC, 11, 0.7).excitation("x")
+    half = asked.model_copy(update={"tones": asked.tones[: len(asked.tones) // 2]})
+    response = LOOP.answer(half, noise, rng)
+    known.learn(response, rng)
+    before = spread(known, rng)
+    known.compare_to_asked(response.omega_rad_s, np.array(asked.omega_rad_s))
+    return known, before
+
+
+def test_a_robot_that_fails_at_many_tones_and_is_quiet_at_fewer_is_hardly_known() -> None:
+    rng = np.random.default_rng(0)
+    known, before = after_a_repetition(0.01, rng)
+    assert spread(known, rng) > max(3 * before, 0.3)
+    (finding,) = known.findings
+    assert finding.startswith("robot: it answers to 6 tones at once as if most of it were noise")
+    assert "--amplitude" in finding
+
+
+def test_a_robot_whose_noise_hides_many_tones_is_known_by_fewer() -> None:
+    rng = np.random.default_rng(0)
+    known, before = after_a_repetition(0.1, rng)
+    assert spread(known, rng) == pytest.approx(before, rel=0.2)
+    assert known.findings == ()
+
+
 def test_a_response_that_is_not_linear_is_said_and_believed_less() -> None:
     rng = np.random.default_rng(0)
     good = one_test(LOOP, rng)

@@ -16,6 +16,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.multitone import multitone
+from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 SPEC = RobotSpec(
@@ -78,3 +79,7 @@ def test_slack_which_falls_on_the_tones_shows_on_the_lines_beyond_them(
 def test_noise_hardly_ever_passes_for_it(memory: float) -> None:
     found = [distortion(response_of(lambda r: r, seed, memory=memory)) for seed in range(30)]
     assert found.count(0.0) >= 29
+
+
+def test_one_tone_does_not_tell_which_nonlinearity_it_is() -> None:
+    assert not nonlinearity_in_words(np.array([0.8 - 0.1j]), np.array([0.9 + 0.1j]))
