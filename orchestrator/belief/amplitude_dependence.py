@@ -10,13 +10,18 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.frequency_response import Flight
+from nufleet.shared.frequency_test.nonlinearity import Nonlinearity
 
 FORM_HALVINGS = 0.75
-"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude. From a test of
-few tones to one of many tones with random phases, the responses of 40 loops of a kind change by 0.6
-of what half the amplitude does to them with a dead zone or friction (median), 0.8 with backlash,
-0.9 where the actuator saturates, and 1.7 with a hardening spring."""
+HELD_BACK_HALVINGS = 0.5
+"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude, and what it
+does to one of which small motions are held back. From a test of few tones to many motions of many
+tones, the responses of 48 loops of a kind change by 0.3 of what half the amplitude does to them
+with a dead zone (median), 0.4 with backlash or friction, 0.5 with two kinds at once, and 0.9 with a
+hardening spring. Where an actuator saturates, half the amplitude often does nothing; it is its
+distortion that tells."""
 
+HELD_BACK = (Nonlinearity.DEAD_ZONE, Nonlinearity.BACKLASH, Nonlinearity.FRICTION)
 
 AMPLITUDES_DIFFER = 1.25
 """Ratio of two amplitudes from which a change of the response is laid to them."""
@@ -66,6 +71,22 @@ class AmplitudeDependence:
     """Frequencies in rad/s, rising, shape (frequencies,)."""
     squared: FloatArray
     """Squared distance of the two responses at each, shape (frequencies,)."""
+    form_halvings: float = FORM_HALVINGS
+    """What the form of a motion does to the response, in halvings of the amplitude."""
+
+    @staticmethod
+    def of(
+        omega_rad_s: FloatArray, squared: FloatArray, kind: Nonlinearity | None
+    ) -> AmplitudeDependence:
+        """Return what a nonlinearity does to a robot.
+
+        Args:
+            omega_rad_s: Frequencies in rad/s, rising, shape (frequencies,).
+            squared: Squared distance of the responses at an amplitude and at half of it.
+            kind: What makes the robot nonlinear; None if that is not known.
+        """
+        halvings = HELD_BACK_HALVINGS if kind in HELD_BACK else FORM_HALVINGS
+        return AmplitudeDependence(omega_rad_s, squared, halvings)
 
     def variance(
         self, omega_rad_s: FloatArray, amplitude: float | None, largest: float | None
@@ -85,7 +106,7 @@ class AmplitudeDependence:
         """
         halvings = math.log2(largest / amplitude) if amplitude and largest else 0.0
         squared = np.interp(omega_rad_s, self.omega_rad_s, self.squared)
-        return np.asarray(squared * (FORM_HALVINGS + max(halvings, 0.0)) ** 2)
+        return np.asarray(squared * (self.form_halvings + max(halvings, 0.0)) ** 2)
 
     def equals(self, other: AmplitudeDependence | None) -> bool:
         """Whether another one says the same."""
@@ -93,6 +114,7 @@ class AmplitudeDependence:
             other is not None
             and np.array_equal(self.omega_rad_s, other.omega_rad_s)
             and np.array_equal(self.squared, other.squared)
+            and self.form_halvings == other.form_halvings
         )
 
     @staticmethod
@@ -108,4 +130,5 @@ class AmplitudeDependence:
             return None
         omega = known[0].omega_rad_s
         total = sum(np.interp(omega, one.omega_rad_s, one.squared) for one in known)
-        return AmplitudeDependence(omega, np.asarray(total / len(found)))
+        halvings = max(one.form_halvings for one in known)
+        return AmplitudeDependence(omega, np.asarray(total / len(found)), halvings)

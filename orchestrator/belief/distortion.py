@@ -15,8 +15,8 @@ from nufleet.shared.frequency_test.nonlinearity import DISTORTION_REPORTED
 
 NONLINEAR_ELSEWHERE = 8.0
 """Change of the response in another motion of the same size, as a multiple of the distortion that a
-test shows. Among 48 loops of each kind it is 4 in the median with backlash or a dead zone, 6 with
-friction, 7 with two kinds at once, and 10 where the actuator saturates.
+test shows. Among 48 loops of each kind it is 2 in the median with backlash, 3 with two kinds at
+once, 4 with a hardening spring, 6 with friction, and 10 where the actuator saturates.
 """
 
 HIDDEN_BY_NOISE = 2.0

@@ -21,7 +21,7 @@ from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
+from nufleet.shared.frequency_test.nonlinearity import nonlinearity_of
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -211,14 +211,15 @@ class RobotKnowledge:
         larger, smaller = miss.expected, miss.measured
         if now > before:
             larger, smaller = smaller, larger
+        kind = nonlinearity_of(larger, smaller)
         unit = self.spec.axes[0].unit
         self._find(
             f"its response depends on the amplitude: at {now:.2g} {unit} it is "
             f"{miss.worst:.3g} away from that at {before:.2g} {unit}, at "
-            f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
+            f"{miss.worst_rad_s:.4g} rad/s" + (f", as with {kind}" if kind else "")
         )
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
-        self.by_amplitude = AmplitudeDependence(miss.omega_rad_s, excess)
+        self.by_amplitude = AmplitudeDependence.of(miss.omega_rad_s, excess, kind)
 
     def assume(self, by_amplitude: AmplitudeDependence | None, distortion: float) -> None:
         """Believe of a robot what others of its kind have shown, where its tests are silent.

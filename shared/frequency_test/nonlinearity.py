@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 
 import numpy as np
 from scipy.special import fdtri
@@ -43,8 +44,18 @@ def nonlinear(distortion: float) -> Finding | None:
     )
 
 
-def nonlinearity_in_words(larger: ComplexArray, smaller: ComplexArray) -> str:
-    """Return which nonlinearity changes a response like this; empty if that cannot be told.
+class Nonlinearity(StrEnum):
+    """What makes a robot nonlinear, in words."""
+
+    SATURATION = "an actuator that saturates or is slow to change"
+    DEAD_ZONE = "a dead zone"
+    BACKLASH = "backlash"
+    FRICTION = "friction"
+    HARDENING = "a spring that hardens"
+
+
+def nonlinearity_of(larger: ComplexArray, smaller: ComplexArray) -> Nonlinearity | None:
+    """Return which nonlinearity changes a response like this; None if that cannot be told.
 
     What saturates holds back large motions, mostly fast ones: they are smaller and later. What
     sticks, is slack or dead holds back small ones, as far as it acts: friction takes off amplitude
@@ -56,22 +67,20 @@ def nonlinearity_in_words(larger: ComplexArray, smaller: ComplexArray) -> str:
         smaller: Response at the smaller one, shape (tones,).
     """
     if len(larger) < 2:
-        return ""
+        return None
     middle = (len(larger) + 1) // 2
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log(smaller / larger)
     ratio = np.where(np.isfinite(ratio), ratio, 0.0)
     slow, fast = ratio[:middle].mean(), ratio[middle:].mean()
     if fast.real > 0 and fast.imag > 0:
-        return ", as with an actuator that saturates or is slow to change"
+        return Nonlinearity.SATURATION
     if 0 < slow.real < -fast.real:
-        return ", as with a dead zone"
+        return Nonlinearity.DEAD_ZONE
     if slow.real < 0 and fast.real < 0:
         later = -float(ratio.imag.mean()) > -float(ratio.real.mean())
-        return ", as with backlash" if later else ", as with friction"
-    if slow.real > 0:
-        return ", as with a spring that hardens"
-    return ""
+        return Nonlinearity.BACKLASH if later else Nonlinearity.FRICTION
+    return Nonlinearity.HARDENING if slow.real > 0 else None
 
 
 def harmonic_distortion(fit: SinusoidFit, tones: int, residual: FloatArray) -> float:

@@ -15,6 +15,7 @@ from nufleet.orchestrator.belief.amplitude_dependence import (
 )
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.shared.frequency_test.nonlinearity import Nonlinearity
 from nufleet.shared.frequency_test.quality import Finding, Quality
 
 OMEGA = np.array([1.0, 2.0])
@@ -28,6 +29,18 @@ def test_a_test_is_the_less_certain_the_smaller_it_is() -> None:
     np.testing.assert_allclose(unknown, largest)
     between = FOUND.variance(np.array([1.5]), 0.2, 0.2)
     np.testing.assert_allclose(between, FORM_HALVINGS**2 * 0.025)
+
+
+def test_the_form_of_a_motion_does_less_where_small_motions_are_held_back() -> None:
+    sticks = AmplitudeDependence.of(OMEGA, FOUND.squared, Nonlinearity.FRICTION)
+    unknown = AmplitudeDependence.of(OMEGA, FOUND.squared, None)
+    assert unknown.equals(FOUND)
+    assert not sticks.equals(FOUND)
+    assert np.all(sticks.variance(OMEGA, 0.2, 0.2) < FOUND.variance(OMEGA, 0.2, 0.2))
+    # Of a fleet, the most doubtful robot counts.
+    of_fleet = AmplitudeDependence.of_fleet([sticks, FOUND])
+    assert of_fleet is not None
+    assert of_fleet.equals(FOUND)
 
 
 def test_robots_whose_responses_agreed_count_when_others_are_judged_by_them() -> None:

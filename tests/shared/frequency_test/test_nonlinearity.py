@@ -16,7 +16,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.multitone import multitone
-from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
+from nufleet.shared.frequency_test.nonlinearity import nonlinearity_of
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 SPEC = RobotSpec(
@@ -82,4 +82,4 @@ def test_noise_hardly_ever_passes_for_it(memory: float) -> None:
 
 
 def test_one_tone_does_not_tell_which_nonlinearity_it_is() -> None:
-    assert not nonlinearity_in_words(np.array([0.8 - 0.1j]), np.array([0.9 + 0.1j]))
+    assert nonlinearity_of(np.array([0.8 - 0.1j]), np.array([0.9 + 0.1j])) is None
