@@ -119,15 +119,17 @@ class AxesKnowledge:
         """
         self.responses.append(response)
         self._crosses.clear()
+        wanted = {
+            one.axis: np.array([tone.omega_rad_s for tone in one.tones])
+            for one in (asked.played if asked else ())
+        }
         for axis, known in self.axes.items():
             own = self.own(response, axis)
             if own is None:
                 continue
             known.learn(own, rng, check=check)
-            for one in () if asked is None else asked.played:
-                if one.axis == axis:
-                    omega = np.array([tone.omega_rad_s for tone in one.tones])
-                    known.compare_to_asked(own.omega_rad_s, omega)
+            if axis in wanted:
+                known.compare_to_asked(own.omega_rad_s, wanted[axis])
 
     def own(self, response: FrequencyResponse, axis: str) -> FrequencyResponse | None:
         """Return what a response of the robot says of one axis; None if it does not play it."""

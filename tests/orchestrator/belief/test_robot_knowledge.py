@@ -9,6 +9,7 @@ import pytest
 from random_loops import BAND, SPEC, Loop
 from robots_that_learn import double_integrator
 
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
@@ -89,6 +90,16 @@ def test_a_robot_that_fails_at_many_tones_and_is_quiet_at_fewer_is_hardly_known(
     (finding,) = known.findings
     assert finding.startswith("robot: it answers to 6 tones at once as if most of it were noise")
     assert "--amplitude" in finding
+
+
+def test_tests_of_several_axes_tell_what_each_was_asked_for() -> None:
+    rng = np.random.default_rng(0)
+    asked = first_look(BAND, SPEC, 11, 0.7).excitation("x")
+    half = asked.model_copy(update={"tones": asked.tones[:3]})
+    for played, findings in ((half, 1), (asked, 0)):
+        known = AxesKnowledge("robot", SPEC, BAND[1], ("x",))
+        known.learn(LOOP.answer(played, 0.01, rng), rng, asked=asked)
+        assert len(known.axes["x"].findings) == findings
 
 
 def test_a_robot_whose_noise_hides_many_tones_is_known_by_fewer() -> None:
