@@ -54,7 +54,7 @@ def played(
     seed: int,
     base_rad_s: float = 0.5,
     harmonics: Sequence[int] = HARMONICS,
-    phases_rad: FloatArray | None = None,
+    phases_rad: Sequence[float] | None = None,
 ) -> FrequencyResponse:
     spec = RobotSpec(
         kind="any",
@@ -70,7 +70,7 @@ def played(
     if phases_rad is not None:
         tones = tuple(
             Tone(omega_rad_s=tone.omega_rad_s, phase_rad=phase)
-            for tone, phase in zip(tones, phases_rad.tolist(), strict=True)
+            for tone, phase in zip(tones, phases_rad, strict=True)
         )
     plan: ExcitationPlan = plan_excitation(
         Excitation(axis="x", tones=tones, segments=3), spec, "robot"
@@ -189,14 +189,15 @@ class Shaken(Resonant):
 
 def test_two_narrow_resonances_near_tones_are_no_change_in_the_middle_of_the_test() -> None:
     rng = np.random.default_rng(1)
-    off, stated, usable = [], [], []
+    # With random phases, one such test in twenty is repeated.
+    phases_rad = [0.376, 5.255, 4.923, 4.05, 2.694, 1.17, 4.853, 2.489, 0.343]
+    phases_rad += [3.429, 5.445, 2.165, 4.442, 5.264, 1.255, 2.419, 2.578, 3.366]
+    off, stated = [], []
     for seed in range(12):
         robot = Shaken(rng.uniform(1.0, 5.0, 2), 0.045, 0.4)
         settle_s = 1.4 / (0.045 * 3.0)
-        phases_rad = rng.uniform(0, 2 * np.pi, 18)
         measured = played(robot, settle_s, 0.003, seed, 0.15, range(1, 36, 2), phases_rad)
-        usable.append(measured.quality.usable)
+        assert measured.quality.usable, str(measured.quality)
         off.append(np.abs(measured.z - robot.z(measured.omega_rad_s)))
         stated.append(np.sqrt(measured.variance))
-    assert sum(usable) >= 11
     assert np.mean(np.array(off) > 2.5 * np.array(stated)) < 0.06
