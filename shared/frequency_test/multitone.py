@@ -24,6 +24,9 @@ SAMPLES_PER_PERIOD = 8
 """Samples per period of the fastest tone among which peaks are looked for; more would find the same
 phases."""
 
+SAMPLES_MAX = 20_000
+"""Largest number of such samples; in bands of many decades, they are at random times."""
+
 
 def multitone(
     base_rad_s: float, harmonics: Sequence[tuple[int, ...]], weights: Sequence[FloatArray]
@@ -132,15 +135,18 @@ def random_phases(
         Phases in rad, of shape (tones,) for each axis.
     """
     rng = np.random.default_rng([harmonic for own in harmonics for harmonic in own])
+    drawn = [rng.uniform(0.0, 2 * np.pi, (PHASES_DRAWN, len(own))) for own in harmonics]
     samples = SAMPLES_PER_PERIOD * max(own[-1] for own in harmonics)
     times = np.linspace(0.0, 2 * np.pi, samples, endpoint=False)
-    drawn = [rng.uniform(0.0, 2 * np.pi, (PHASES_DRAWN, len(own))) for own in harmonics]
+    if samples > SAMPLES_MAX:
+        times = rng.uniform(0.0, 2 * np.pi, SAMPLES_MAX)
+    turning = [np.exp(1j * np.outer(own, times)) for own in harmonics]
     crests = []
     for order in DERIVATIVES:
-        squared = np.zeros((PHASES_DRAWN, samples))
-        for own, weight, phases in zip(harmonics, weights, drawn, strict=True):
+        squared = np.zeros((PHASES_DRAWN, len(times)))
+        for own, weight, phases, waves in zip(harmonics, weights, drawn, turning, strict=True):
             phasors = weight * (1j * np.array(own)) ** order * np.exp(1j * phases)
-            squared += (phasors @ np.exp(1j * np.outer(own, times))).imag ** 2
+            squared += (phasors @ waves).imag ** 2
         crests.append(squared.max(axis=1) / squared.mean(axis=1))
     lowest = int(np.argmin(np.max(crests, axis=0)))
     return tuple(phases[lowest] for phases in drawn)

@@ -81,7 +81,7 @@ def test_a_slow_resonance_below_the_tones_makes_the_lowest_of_them_uncertain() -
     assert np.sqrt(np.mean(np.square(stated))) > 0.5 * np.sqrt(np.mean(np.square(off)))
 
 
-def test_with_random_phases_it_is_uncertain_on_the_whole_though_too_little_for_half_the_robots() -> None:
+def test_with_random_phases_it_is_too_little_uncertain_for_half_of_the_robots() -> None:
     off, stated, without = errors_at_the_lowest_tone(4.0)
     assert np.mean(off > 2.5 * without) > 0.9
     assert np.mean(off > 2.5 * stated) < 0.65
