@@ -137,8 +137,9 @@ def random_phases(
     rng = np.random.default_rng([harmonic for own in harmonics for harmonic in own])
     drawn = [rng.uniform(0.0, 2 * np.pi, (PHASES_DRAWN, len(own))) for own in harmonics]
     samples = SAMPLES_PER_PERIOD * max(own[-1] for own in harmonics)
-    times = np.linspace(0.0, 2 * np.pi, samples, endpoint=False)
-    if samples > SAMPLES_MAX:
+    if samples <= SAMPLES_MAX:
+        times = np.linspace(0.0, 2 * np.pi, samples, endpoint=False)
+    else:
         times = rng.uniform(0.0, 2 * np.pi, SAMPLES_MAX)
     turning = [np.exp(1j * np.outer(own, times)) for own in harmonics]
     crests = []

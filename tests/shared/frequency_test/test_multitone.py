@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -73,6 +74,16 @@ def test_odd_tones_crest_below_2_5(count: int) -> None:
 def test_the_same_tones_have_the_same_phases() -> None:
     harmonics, weights = (1, 3, 5, 7), np.ones(4)
     assert np.array_equal(phases_of(harmonics, weights), phases_of(harmonics, weights))
+
+
+def test_bands_of_many_decades_take_no_more_memory_than_others() -> None:
+    harmonics = tuple(10**power for power in range(8))
+    tracemalloc.start()
+    try:
+        phases_of(harmonics, np.ones(len(harmonics)))
+        assert tracemalloc.get_traced_memory()[1] < 200e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_phases_are_evenly_spread_over_all_tests() -> None:
