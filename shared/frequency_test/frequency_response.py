@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from nufleet.shared.frequency_test.hidden_transient import (
     HiddenTransient,
     hidden_transient,
     may_ring,
+    told_from_tones,
 )
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse, error_correlation
 from nufleet.shared.frequency_test.quality import (
@@ -29,6 +31,7 @@ from nufleet.shared.frequency_test.quality import (
     uncertainty_radius,
     verdict,
 )
+from nufleet.shared.frequency_test.repetition import period_samples
 from nufleet.shared.frequency_test.response_findings import Estimates, Samples, findings_of
 from nufleet.shared.frequency_test.ring_down import (
     RingDown,
@@ -300,6 +303,10 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, plan.segments * plan.segment_samples * step_s)
     every_omega = np.concatenate([omegas, extra])
+    # Some of the many products of several axes' tones look like a decay.
+    several = len(between) > 1
+    measured = plan.segments * plan.segment_samples
+    period = period_samples(omegas, step_s, measured) if several else None
     rows, left = [], []
     for axis, one in enumerate(between):
         ringing = ring_down(one.y, every_omega, float(omegas.max()), step_s, settle_samples)
@@ -308,7 +315,13 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
             # A transient is known best where it is largest, so that all of it is fitted.
             start, transient = len(one.y) % plan.segments, ringing.columns(len(one.y), step_s)
         waited_s = settle_samples * step_s
-        hidden = hidden_transient(one.y, every_omega, tones, step_s, start, waited_s, transient)
+        hides = partial(hidden_transient, one.y, every_omega, tones, step_s, start, waited_s)
+        hidden = hides(transient, period=period)
+        rings = still_ringing(ringing, waited_s)
+        distorted = several and hidden is not None and hidden.distorted > 0.2
+        if rings and distorted and not told_from_tones(ringing, len(one.y) * step_s):
+            too = may_ring(hides(None, period=period), waited_s)
+            rings = too and min(rings, too, key=lambda one: one.value or 0.0)
         samples = one[start:]
         try:
             input_fit, output_fit = fit_sinusoids(
@@ -323,7 +336,8 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
         if np.min(np.abs(input_fit.phasors[:tones])) < REFERENCE_TONE_MIN:
             return asked.failed("no-reference", "a tone is missing from the reference")
         own = asked.played_by == axis
-        row = _row(samples, ringing, hidden, input_fit, output_fit, own, settle_samples, asked)
+        rings = rings or may_ring(hidden, waited_s)
+        row = _row(samples, ringing, rings, hidden, input_fit, output_fit, own, asked)
         # z was relative to a reference that counts in the unit of this output.
         rows.append(row.times(asked.scale[axis] / asked.scale[asked.played_by]))
         left.append((samples.y - output_fit.fitted)[settle_samples - start :])
@@ -333,11 +347,11 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
 def _row(
     samples: Samples,
     ringing: RingDown,
+    rings: Finding | None,
     hidden: HiddenTransient | None,
     input_fit: SinusoidFit,
     output_fit: SinusoidFit,
     own: BoolArray,
-    settle_samples: int,
     asked: _Tested,
 ) -> FrequencyResponse:
     """Return the responses of one output to all tones."""
@@ -367,8 +381,7 @@ def _row(
     degrees = output_fit.scatter_degrees[:tones]
     estimates = Estimates(gain * segment_z, variance, degrees)
     findings = findings_of(tested, samples, ringing, input_fit, output_fit, estimates, own, plan)
-    settle_s = settle_samples * step_s
-    findings.append(still_ringing(ringing, settle_s) or may_ring(hidden, settle_s))
+    findings.append(rings)
     hidden_variance = None
     if hidden is not None:
         hidden_variance = hidden.variance * (gain / np.abs(input_tones)) ** 2

@@ -26,26 +26,35 @@ from scipy.ndimage import uniform_filter1d
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import Finding
+from nufleet.shared.frequency_test.repetition import differences
 from nufleet.shared.frequency_test.ring_down import (
     HIGHER,
     PHASE_PER_BLOCK,
     SAMPLES_MAX,
+    RingDown,
     ringing,
 )
 from nufleet.shared.frequency_test.sinusoid_fit import exponentials
 from nufleet.shared.frequency_test.transient_parts import (
     DEGREE,
+    HALF_PERIODS,
     LINES_TO,
     Parts,
     distortion,
     ringing_parts,
 )
 
-CERTAIN = 0.9
+CERTAIN = 0.95
 """Probability of a transient from which it is a finding."""
 
-EXPECTED = 0.5
+EXPECTED = 0.65
 """Prior probability that something still rings."""
+
+SURELY = 0.8
+"""Probability with which a transient decays at least as slowly as is found amid distortion."""
+
+AT_ONCE = 20.0
+"""Decay rate from which a transient is gone at once, per length of the record."""
 
 SIZE = 0.3
 """Prior standard deviation of what rings at the beginning, as a multiple of the deviation of
@@ -100,12 +109,14 @@ class HiddenTransient:
     probability: float
     """Probability that there is one."""
     decay_1_s: float
-    """Decay rate σ that it exceeds as probably as not, if there is one; infinite if that is the
-    largest of those that are tried, as it may be any that is larger."""
+    """Decay rate σ that it exceeds as probably as not, if there is one; infinite where that is so
+    large that it decays at once."""
     omega_rad_s: float
     """Its most probable frequency ν."""
     variance: FloatArray
     """Mean square by which it moves each tone's phasor, shape (tones,), in the output's unit."""
+    distorted: float
+    """Probability that there is distortion, 0 where its absence was not doubted."""
 
 
 def may_ring(hidden: HiddenTransient | None, settle_s: float) -> Finding | None:
@@ -120,6 +131,12 @@ def may_ring(hidden: HiddenTransient | None, settle_s: float) -> Finding | None:
     return ringing(hidden.decay_1_s, hidden.omega_rad_s, settle_s)
 
 
+def told_from_tones(ringing: RingDown, length_s: float) -> bool:
+    """Return whether what was found to ring longest is too fast to hide behind tones."""
+    slowest = int(np.argmax(ringing.lasting))
+    return float(ringing.omega_rad_s[slowest]) * length_s > HALF_PERIODS * math.pi
+
+
 def hidden_transient(
     output: FloatArray,
     omega_rad_s: FloatArray,
@@ -128,6 +145,7 @@ def hidden_transient(
     settle_samples: int,
     waited_s: float,
     found: FloatArray | None = None,
+    period: int | None = None,
 ) -> HiddenTransient | None:
     """Return what the tones may hide; None if that cannot be told in a record like this.
 
@@ -143,6 +161,7 @@ def hidden_transient(
         settle_samples: Number of samples before those that the tones are fitted to.
         waited_s: Time that the test waited, after the ramp.
         found: Transient that was found already, shape (samples, columns); None if none was.
+        period: Number of samples after which all tones repeat; None if they do not.
     """
     top_rad_s = float(omega_rad_s[:tones].max())
     block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
@@ -177,7 +196,19 @@ def hidden_transient(
     if hidden.probability < ASKED or slight:
         return hidden
     bent = [grid.bent.weighed(heard, noise, size, share * size) for share in DISTORTIONS]
-    return _believed(grid, [straight, *bent])
+    apart = None
+    if period is not None:
+        turning = exponentials(sample_time_s * omega_rad_s[:tones], len(output))
+        drift = np.linspace(-1, 1, len(output))[:, None]
+        columns = [turning.real, turning.imag, np.ones_like(drift), drift]
+        if found is not None:
+            columns.append(found[left_out:])
+        rates = block * sample_time_s * np.stack([grid.decay_1_s, grid.omega_rad_s])
+        changed, parts = differences(output, np.hstack(columns), rates, period, block)
+        along = np.tensordot(changed, parts, 1) / (2 * noise)
+        products = _power(parts) / (2 * noise)
+        apart = _Weighed.of(along, products, (SIZE * size) ** 2, grid.log_prior)
+    return _believed(grid, [straight, *bent], apart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,23 +247,47 @@ class _Weighed:
         log_weight[:-1] += 0.5 * (u * x + v * y - np.log(det))
         return _Weighed(log_weight, np.stack([xx + x**2, xy + x * y, yy + y**2]))
 
+    @property
+    def shares(self) -> FloatArray:
+        """Probability of each part and, last, of none, shape (parts + 1,)."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        return np.asarray(weight / weight.sum())
 
-def _believed(grid: _Grid, cases: Sequence[_Weighed]) -> HiddenTransient:
-    """Return what is believed if one of several cases holds, of which the first has no lines."""
+
+def _believed(
+    grid: _Grid, cases: Sequence[_Weighed], apart: _Weighed | None = None
+) -> HiddenTransient:
+    """Return what is believed if one of several cases holds, of which the first has no lines.
+
+    Args:
+        grid: What may ring.
+        cases: How probable each part is in each case.
+        apart: How probable each is by nothing but what does not repeat; None if that is not known.
+    """
     most = max(float(case.log_weight.max()) for case in cases)
     weights = [np.exp(case.log_weight - most) for case in cases]
     total = sum(float(weight.sum()) for weight in weights)
-    rings = np.sum([weight[: grid.ringing] for weight in weights], axis=0) / total
+    straight, *bent = (grid.slower(weight / total) for weight in weights)
+    slow_bent = np.sum([np.zeros_like(straight), *bent], axis=0)
+    distorted = sum(float(weight.sum()) for weight in weights[1:]) / total
+    at_least = 0.5
+    if apart is not None:
+        slow_bent = np.minimum(slow_bent, distorted * grid.slower(apart.shares))
+        at_least += (SURELY - at_least) * distorted
+    slower = straight + slow_bent
     variance = np.zeros(len(grid.moved))
     for case, weight in zip(cases, weights, strict=True):
         moved = grid.moved if case is cases[0] else grid.bent.moved
         variance += np.tensordot(moved, case.moments * weight[:-1], 2) / total
-    decay_1_s = _median(grid.decay_1_s, rings)
+    rings = np.sum([weight[: grid.ringing] for weight in weights], axis=0)
+    levels = np.unique(grid.decay_1_s)
+    decay_1_s = float(levels[np.searchsorted(slower, at_least * slower[-1])])
     return HiddenTransient(
-        float(rings.sum()),
-        decay_1_s if decay_1_s < grid.decay_1_s.max() else math.inf,
+        float(slower[-1]),
+        decay_1_s if decay_1_s < AT_ONCE / grid.length_s else math.inf,
         float(grid.omega_rad_s[np.argmax(rings)]),
         variance,
+        distorted,
     )
 
 
@@ -269,6 +324,8 @@ class _Grid:
     decay_1_s: FloatArray
     omega_rad_s: FloatArray
     """Decay rate σ and frequency ν of each, shape (ringing,)."""
+    length_s: float
+    """Length of the record in s."""
     basis: FloatArray
     """Orthonormal columns: tones, an offset and a drift, and after them harmonics that are slow
     enough to be lines, shape (count, columns)."""
@@ -333,6 +390,7 @@ class _Grid:
             rings,
             rings.decay / length_s,
             rings.omega / length_s,
+            length_s,
             basis,
             taken[free:],
             polynomials,
@@ -360,6 +418,11 @@ class _Grid:
     def log_prior(self) -> FloatArray:
         """Logarithm of the prior probability of each part and, last, of none, (ringing + 1,)."""
         return np.asarray(np.log(np.append(EXPECTED * self.rings.probability, 1 - EXPECTED)))
+
+    def slower(self, weight: FloatArray) -> FloatArray:
+        """Return the weight of what rings and decays at most as fast as each of the decay rates."""
+        _, of = np.unique(self.decay_1_s, return_inverse=True)
+        return np.asarray(np.cumsum(np.bincount(of, weight[: self.ringing])))
 
     def left_of(self, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return what is left of an output, shape (count,).
@@ -515,13 +578,6 @@ def _moved(phasors: ComplexArray, parts: Parts) -> FloatArray:
 
 
 _kept_grid = lru_cache(RECORDS_KEPT)(_Grid.of)
-
-
-def _median(values: FloatArray, weight: FloatArray) -> float:
-    """Return the value up to which half of the weight lies."""
-    order = np.argsort(values)
-    reached = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(reached, 0.5 * reached[-1])])
 
 
 def _averaged(values: FloatArray, block: int) -> FloatArray:

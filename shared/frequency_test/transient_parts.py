@@ -19,9 +19,9 @@ DEGREE = 100
 e^{jz} around the middle of the record with |z| of 60, from which degree on the coefficients, Bessel
 functions of z, vanish (Trefethen, Approximation Theory and Approximation Practice, 2013)."""
 
-DECAYS = 10
+DECAYS = 13
 SLOWEST = 0.25
-FASTEST = 20.0
+FASTEST = 60.0
 """Number of decay rates, and the least and the largest of them, per length of the record."""
 
 HALF_PERIODS = 30

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.frequency_response import estimate_frequency_response
 from nufleet.shared.frequency_test.hidden_transient import (
     EXPECTED,
     SIZE,
@@ -17,6 +21,7 @@ from nufleet.shared.frequency_test.hidden_transient import (
     may_ring,
 )
 from nufleet.shared.frequency_test.sinusoid_fit import fit_sinusoids
+from nufleet.sims.coupled_loops import CoupledLoops, CoupledLoopsSettings
 from tests.shared.frequency_test.test_ring_down import HARMONICS, STEP_S, Resonant, played
 
 OMEGA = 0.5 * np.array(HARMONICS)
@@ -217,3 +222,55 @@ def test_what_decays_at_once_is_not_taken_for_something_slower() -> None:
         output = tones(rng) + ringing + NOISE * rng.standard_normal(SAMPLES)
         found = hidden_transient(output, OMEGA, len(OMEGA), STEP_S, SETTLE, SETTLE * STEP_S)
         assert may_ring(found, 1.2 * 3 / decay) is None
+
+
+def test_what_rings_amid_the_distortion_of_several_axes_is_still_found() -> None:
+    own, others = 0.5 * np.array([1, 9, 17]), 0.5 * np.array([5, 11, 19])
+    times_s = STEP_S * np.arange(SAMPLES)
+    period = round(2 * np.pi / 0.5 / STEP_S)
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        one, other = (
+            np.cos(np.outer(times_s, omega) + rng.uniform(0, 6, 3)) @ omega**-0.5
+            for omega in (own, others)
+        )
+        output = one + 0.02 * other**2 + 0.02 * one * other
+        output += 0.2 * np.exp(-0.3 * times_s) * np.cos(1.3 * times_s + seed)
+        output += 0.02 * rng.standard_normal(SAMPLES)
+        omega = np.concatenate([own, others])
+        hidden = hidden_transient(output, omega, 6, STEP_S, SETTLE, SETTLE * STEP_S, period=period)
+        found.append(may_ring(hidden, SETTLE * STEP_S) is not None)
+    assert np.mean(found) > 0.9
+
+
+def test_distortion_of_several_axes_is_no_reason_to_wait() -> None:
+    settings = AdaptiveSettings()
+    slower = 0
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        robot = CoupledLoops(
+            "robot",
+            CoupledLoopsSettings(
+                natural_frequency_rad_s=tuple(rng.uniform(2.5, 5.0, 3).tolist()),
+                damping_ratio=tuple(rng.uniform(0.5, 0.9, 3).tolist()),
+                coupling=tuple(rng.uniform(-0.2, 0.2, 3).tolist()),
+                axes=("x", "y", "z"),
+                noise_std_m=0.002,
+            ),
+            rng,
+        )
+        robot.connect()
+        periods, share = settings.first_periods, settings.share_of_settling
+        look = first_look((0.2, 8.0), robot.spec, periods, share, (0, 1, 2))
+        settle_s = settings.settle_share * robot.spec.settling_time_s
+        plan = plan_excitation(
+            look.excitation("x", "y", "z", settle_s=settle_s), robot.spec, "robot"
+        )
+        reference = reference_of(plan)
+        moved = robot.run(reference)
+        moved = moved + 0.3 * np.roll(moved, 1, axis=1) ** 2
+        measured = estimate_frequency_response(reference, moved, plan)
+        values = [one.value or 0.0 for one in measured.quality.warnings if one.code == "ringing"]
+        slower += any(value > 1.2 * robot.spec.settling_time_s for value in values)
+    assert slower <= 2
