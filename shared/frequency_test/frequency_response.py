@@ -306,7 +306,8 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
     # Some of the many products of several axes' tones look like a decay.
     several = len(between) > 1
     measured = plan.segments * plan.segment_samples
-    period = period_samples(omegas, step_s, measured) if several else None
+    # Segments are rounded up to whole samples.
+    period = period_samples(omegas, step_s, measured, plan.segments) if several else None
     rows, left = [], []
     for axis, one in enumerate(between):
         ringing = ring_down(one.y, every_omega, float(omegas.max()), step_s, settle_samples)

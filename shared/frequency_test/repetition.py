@@ -17,16 +17,22 @@ WHOLE = 0.05
 """Largest difference from a whole number of periods, as a share of one, that is due to samples."""
 
 
-def period_samples(omega_rad_s: FloatArray, sample_time_s: float, samples: int) -> int | None:
-    """Return a number of samples if all tones repeat after them; None if they do not.
+def period_samples(
+    omega_rad_s: FloatArray, sample_time_s: float, samples: int, fewer: int
+) -> int | None:
+    """Return the number of samples after which all tones repeat; None if there is none.
 
     Args:
         omega_rad_s: Frequencies of the tones in rad/s, shape (tones,).
         sample_time_s: Time between samples.
-        samples: Number of samples.
+        samples: Largest number of samples.
+        fewer: By how much it may be less.
     """
-    periods = omega_rad_s * sample_time_s * samples / (2 * np.pi)
-    return samples if np.all(np.abs(periods - np.round(periods)) < WHOLE) else None
+    counts = np.arange(samples - fewer, samples + 1)
+    periods = np.outer(counts, omega_rad_s) * (sample_time_s / (2 * np.pi))
+    off = np.abs(periods - np.round(periods)).max(axis=1)
+    best = int(np.argmin(off))
+    return int(counts[best]) if off[best] < WHOLE else None
 
 
 def differences(

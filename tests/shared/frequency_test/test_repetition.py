@@ -32,8 +32,9 @@ def rates(decay_1_s: float, omega_rad_s: float, block: int) -> FloatArray:
 
 
 def test_tones_of_the_same_base_repeat_and_others_do_not() -> None:
-    assert period_samples(OMEGA_RAD_S, STEP_S, PERIOD) == PERIOD
-    assert period_samples(np.append(OMEGA_RAD_S, 3.25), STEP_S, PERIOD) is None
+    assert period_samples(OMEGA_RAD_S, STEP_S, PERIOD, 0) == PERIOD
+    assert period_samples(OMEGA_RAD_S, STEP_S, PERIOD + 3, 4) == PERIOD
+    assert period_samples(np.append(OMEGA_RAD_S, 3.25), STEP_S, PERIOD, 4) is None
 
 
 def test_distortion_repeats_with_the_tones() -> None:
