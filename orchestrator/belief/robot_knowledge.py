@@ -267,8 +267,8 @@ class RobotKnowledge:
             return self._found
         stated, found = self.spec.settling_time_s, self.settling_time_s
         misstated = (
-            f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
-            f"be {found:.3g} s: later tests wait as long; correct what its driver states"
+            f"{self.robot}: the settling time is stated as {stated:.3g} s, and it was measured to "
+            f"be {found:.3g} s: later tests wait as long; correct what the driver states"
         )
         return (misstated, *self._found)
 

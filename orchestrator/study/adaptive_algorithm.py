@@ -14,7 +14,7 @@ decides, as `nufleet.orchestrator.study.comparison` says.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -355,7 +355,7 @@ class AdaptiveStudy:
         return f"; a source that was not measured may be closer, so test again: {named}"
 
     def _findings(self, leader: str) -> tuple[str, ...]:
-        found = [finding for robot in self._robots.values() for finding in robot.findings]
+        found = _together(finding for one in self._robots.values() for finding in one.findings)
         if leader in self._grounded and self._unseen(leader):
             found.append(
                 f"{leader}: nothing is known of it below {self._robots[leader].lowest_rad_s:.3g} "
@@ -416,3 +416,13 @@ class AdaptiveStudy:
             f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
             f"{confidence:.3f}"
         )
+
+
+def _together(findings: Iterable[str]) -> list[str]:
+    """Return findings, of which those that say the same of several robots are one."""
+    robots: dict[tuple[str, str], list[str]] = {}
+    for finding in findings:
+        whose, _, text = finding.partition(": ")
+        robot, comma, axis = whose.partition(", ")
+        robots.setdefault((comma + axis, text), []).append(robot)
+    return [f"{', '.join(names)}{axis}: {text}" for (axis, text), names in robots.items()]

@@ -47,4 +47,4 @@ def test_what_one_robot_misstates_of_its_settling_is_no_better_from_others_that_
     assert same.misstated
     assert not differs.misstated
     (told,) = same.findings
-    assert "correct what its driver states" in told
+    assert "correct what the driver states" in told

@@ -211,6 +211,13 @@ def test_a_rival_is_not_beaten_by_what_nothing_measured_between_its_tones() -> N
     assert not [one for one in report.findings if "may be larger" in one]
 
 
+def test_what_several_robots_misstate_alike_is_one_finding() -> None:
+    report, _ = last_of(MISSTATED, ringing=True)
+    found = [finding for finding in report.findings if "settling time is stated" in finding]
+    assert len(found) == 1
+    assert found[0].startswith("target, near, rival: the settling time is stated as 4 s, and it")
+
+
 def test_a_robot_that_settles_slowly_is_at_least_as_far_away_as_its_coarse_tones_say() -> None:
     grid = np.linspace(*BAND, 2001)
     plan = StudyPlan("target", ("near", "rival"), BAND, 1, "x")
