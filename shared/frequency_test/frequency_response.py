@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.frequency_test.hidden_transient import (
+    PROBABLE,
     HiddenTransient,
     hidden_transient,
     may_ring,
@@ -34,6 +35,7 @@ from nufleet.shared.frequency_test.quality import (
 from nufleet.shared.frequency_test.repetition import period_samples
 from nufleet.shared.frequency_test.response_findings import Estimates, Samples, findings_of
 from nufleet.shared.frequency_test.ring_down import (
+    DECAYS_UNTIL_SETTLED,
     RingDown,
     ring_down,
     still_ringing,
@@ -53,6 +55,10 @@ GAIN_MAX = 1e12
 
 REFERENCE_TONE_MIN = 1e-9
 """A tone below this fraction of the reference's largest sample counts as missing from it."""
+
+SLIGHT = 0.2
+"""Probability of distortion in a test of several axes from which a decay that was found may be what
+beats. Where it is `PROBABLE`, nothing is said to ring if the tones do not repeat."""
 
 
 @dataclass(frozen=True)
@@ -318,11 +324,13 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
         waited_s = settle_samples * step_s
         hides = partial(hidden_transient, one.y, every_omega, tones, step_s, start, waited_s)
         hidden = hides(transient, period=period)
-        rings = still_ringing(ringing, waited_s)
-        distorted = several and hidden is not None and hidden.distorted > 0.2
-        if rings and distorted and not told_from_tones(ringing, len(one.y) * step_s):
-            too = may_ring(hides(None, period=period), waited_s)
-            rings = too and min(rings, too, key=lambda one: one.value or 0.0)
+        rings = still_ringing(ringing, waited_s) or may_ring(hidden, waited_s)
+        if rings and several:
+            if _may_beat(ringing, hidden, len(one.y) * step_s):
+                too = may_ring(hides(None, period=period), waited_s)
+                rings = too and min(rings, too, key=lambda one: one.value or 0.0)
+            if period is None and _may_be_products(rings, hidden, len(one.y) * step_s):
+                rings = None
         samples = one[start:]
         try:
             input_fit, output_fit = fit_sinusoids(
@@ -337,12 +345,29 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
         if np.min(np.abs(input_fit.phasors[:tones])) < REFERENCE_TONE_MIN:
             return asked.failed("no-reference", "a tone is missing from the reference")
         own = asked.played_by == axis
-        rings = rings or may_ring(hidden, waited_s)
         row = _row(samples, ringing, rings, hidden, input_fit, output_fit, own, asked)
         # z was relative to a reference that counts in the unit of this output.
         rows.append(row.times(asked.scale[axis] / asked.scale[asked.played_by]))
         left.append((samples.y - output_fit.fitted)[settle_samples - start :])
     return asked.matrix(rows, error_correlation(np.array(left), float(omegas.max()), step_s))
+
+
+def _may_beat(ringing: RingDown, hidden: HiddenTransient | None, length_s: float) -> bool:
+    """Return whether a decay that was found in a test of several axes may be distortion."""
+    found = bool(ringing.lasting.any()) and not told_from_tones(ringing, length_s)
+    return found and hidden is not None and hidden.distorted > SLIGHT
+
+
+def _may_be_products(
+    rings: Finding | None, hidden: HiddenTransient | None, length_s: float
+) -> bool:
+    """Return whether what rings may be products of tones that do not repeat in a record.
+
+    It may if it hardly decays, or if there is distortion besides it.
+    """
+    settling_s = (rings and rings.value) or 0.0
+    distorted = hidden is not None and hidden.distorted > PROBABLE
+    return distorted or settling_s > DECAYS_UNTIL_SETTLED * length_s
 
 
 def _row(

@@ -50,8 +50,13 @@ CERTAIN = 0.95
 EXPECTED = 0.65
 """Prior probability that something still rings."""
 
+DIFFERENCES_MIN = 12
+"""Least number of differences between two periods that tell whether something rings."""
+
 SURELY = 0.8
-"""Probability with which a transient decays at least as slowly as is found amid distortion."""
+PROBABLE = 0.5
+"""Probability with which a transient decays at least as slowly as is found amid distortion, and
+that of distortion from which a finding says so."""
 
 AT_ONCE = 20.0
 """Decay rate from which a transient is gone at once, per length of the record."""
@@ -107,10 +112,10 @@ class HiddenTransient:
     """What is believed of the transient that the tones of a test may hide."""
 
     probability: float
-    """Probability that there is one."""
+    """Probability that there is one; amid distortion at most that by what does not repeat."""
     decay_1_s: float
-    """Decay rate σ that it exceeds as probably as not, if there is one; infinite where that is so
-    large that it decays at once."""
+    """Decay rate σ that it exceeds as probably as not, if there is one, and amid distortion with a
+    probability of 1 − `SURELY`; infinite where that is so large that it decays at once."""
     omega_rad_s: float
     """Its most probable frequency ν."""
     variance: FloatArray
@@ -128,7 +133,8 @@ def may_ring(hidden: HiddenTransient | None, settle_s: float) -> Finding | None:
     """
     if hidden is None or hidden.probability < CERTAIN:
         return None
-    return ringing(hidden.decay_1_s, hidden.omega_rad_s, settle_s)
+    least = hidden.distorted > PROBABLE
+    return ringing(hidden.decay_1_s, hidden.omega_rad_s, settle_s, at_least=least)
 
 
 def told_from_tones(ringing: RingDown, length_s: float) -> bool:
@@ -205,9 +211,10 @@ def hidden_transient(
             columns.append(found[left_out:])
         rates = block * sample_time_s * np.stack([grid.decay_1_s, grid.omega_rad_s])
         changed, parts = differences(output, np.hstack(columns), rates, period, block)
-        along = np.tensordot(changed, parts, 1) / (2 * noise)
-        products = _power(parts) / (2 * noise)
-        apart = _Weighed.of(along, products, (SIZE * size) ** 2, grid.log_prior)
+        if len(changed) >= DIFFERENCES_MIN:
+            along = np.tensordot(changed, parts, 1) / (2 * noise)
+            products = _power(parts) / (2 * noise)
+            apart = _Weighed.of(along, products, (SIZE * size) ** 2, grid.log_prior)
     return _believed(grid, [straight, *bent], apart)
 
 

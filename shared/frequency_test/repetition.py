@@ -20,7 +20,7 @@ WHOLE = 0.05
 def period_samples(
     omega_rad_s: FloatArray, sample_time_s: float, samples: int, fewer: int
 ) -> int | None:
-    """Return the number of samples after which all tones repeat; None if there is none.
+    """Return by which of a few numbers of samples all tones repeat; None if by none of them.
 
     Args:
         omega_rad_s: Frequencies of the tones in rad/s, shape (tones,).

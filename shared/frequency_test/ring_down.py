@@ -137,21 +137,24 @@ def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
     return ringing(float(found.decay_1_s[slowest]), float(found.omega_rad_s[slowest]), settle_s)
 
 
-def ringing(decay_1_s: float, omega_rad_s: float, settle_s: float) -> Finding | None:
+def ringing(
+    decay_1_s: float, omega_rad_s: float, settle_s: float, *, at_least: bool = False
+) -> Finding | None:
     """Return the finding that a part of a transient lasted longer than a test waited, if it did.
 
     Args:
         decay_1_s: Its decay rate σ.
         omega_rad_s: Its frequency ν.
         settle_s: Time that the test waited, after the ramp.
+        at_least: Whether it may well decay more slowly.
     """
     settling_s = DECAYS_UNTIL_SETTLED / decay_1_s
     if settling_s <= settle_s:
         return None
     return Finding(
         code="ringing",
-        text=f"it needs {settling_s:.3g} s to settle to 5 %, at {omega_rad_s:.3g} rad/s, and the "
-        f"test waited {settle_s:.3g} s",
+        text=f"it needs {'at least ' * at_least}{settling_s:.3g} s to settle to 5 %, at "
+        f"{omega_rad_s:.3g} rad/s, and the test waited {settle_s:.3g} s",
         value=settling_s,
     )
 
