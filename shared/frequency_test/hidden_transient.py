@@ -122,6 +122,8 @@ class HiddenTransient:
     """Mean square by which it moves each tone's phasor, shape (tones,), in the output's unit."""
     distorted: float
     """Probability that there is distortion, 0 where its absence was not doubted."""
+    at_least: bool = False
+    """Whether it may well decay more slowly."""
 
 
 def may_ring(hidden: HiddenTransient | None, settle_s: float) -> Finding | None:
@@ -133,8 +135,7 @@ def may_ring(hidden: HiddenTransient | None, settle_s: float) -> Finding | None:
     """
     if hidden is None or hidden.probability < CERTAIN:
         return None
-    least = hidden.distorted > PROBABLE
-    return ringing(hidden.decay_1_s, hidden.omega_rad_s, settle_s, at_least=least)
+    return ringing(hidden.decay_1_s, hidden.omega_rad_s, settle_s, at_least=hidden.at_least)
 
 
 def told_from_tones(ringing: RingDown, length_s: float) -> bool:
@@ -277,10 +278,10 @@ def _believed(
     straight, *bent = (grid.slower(weight / total) for weight in weights)
     slow_bent = np.sum([np.zeros_like(straight), *bent], axis=0)
     distorted = sum(float(weight.sum()) for weight in weights[1:]) / total
-    at_least = 0.5
+    share = 0.5
     if apart is not None:
         slow_bent = np.minimum(slow_bent, distorted * grid.slower(apart.shares))
-        at_least += (SURELY - at_least) * distorted
+        share += (SURELY - share) * distorted
     slower = straight + slow_bent
     variance = np.zeros(len(grid.moved))
     for case, weight in zip(cases, weights, strict=True):
@@ -288,13 +289,14 @@ def _believed(
         variance += np.tensordot(moved, case.moments * weight[:-1], 2) / total
     rings = np.sum([weight[: grid.ringing] for weight in weights], axis=0)
     levels = np.unique(grid.decay_1_s)
-    decay_1_s = float(levels[np.searchsorted(slower, at_least * slower[-1])])
+    decay_1_s = float(levels[np.searchsorted(slower, share * slower[-1])])
     return HiddenTransient(
         float(slower[-1]),
         decay_1_s if decay_1_s < AT_ONCE / grid.length_s else math.inf,
         float(grid.omega_rad_s[np.argmax(rings)]),
         variance,
         distorted,
+        apart is not None and distorted > PROBABLE,
     )
 
 
