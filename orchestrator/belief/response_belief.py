@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
+from scipy.special import log_softmax, logsumexp
 
 from nufleet.orchestrator.belief.common_error import CommonError
 from nufleet.orchestrator.belief.loop_features import (
@@ -117,11 +117,9 @@ class ResponseModel:
         self._build()
         self.misfit = np.concatenate([c.misfit for c in self._components])
         """How much each component departs from its prior, and the measurements from it, squared."""
-        # Posterior weights, proportional to prior × evidence; the largest is subtracted first so
-        # that its exponential does not overflow.
-        weights = np.concatenate([c.log_weights for c in self._components])
-        self._weights = np.exp(weights - weights.max())
-        self._weights /= self._weights.sum()
+        # Posterior weights are proportional to prior × evidence.
+        self._log_weights = log_softmax(np.concatenate([c.log_weights for c in self._components]))
+        self._weights = np.exp(self._log_weights)
 
     @property
     def gain_std(self) -> float:
@@ -192,7 +190,7 @@ class ResponseModel:
             later: The belief after the new measurements, with the same prior and settings.
         """
         more = np.maximum(later.misfit - self.misfit, 0.0)
-        return float(-2 * logsumexp(-0.5 * more, b=self._weights))
+        return float(-2 * logsumexp(self._log_weights - 0.5 * more))
 
     def _build(self) -> None:
         floored = Tones(

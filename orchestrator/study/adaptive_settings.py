@@ -15,7 +15,7 @@ class AdaptiveSettings:
     """Difference ε of two chordal distances, or relative errors, that does not matter."""
     first_periods: int = 11
     """Least length of the first test's measuring part, in periods of the band's upper end."""
-    share_of_settling: float = 0.7
+    share_of_settling: float = 0.5
     """Least length of the first test's measuring part, as a share of the settling time."""
     settle_share: float = 0.2
     """Share of a robot's settling time for which its tests wait, since what still rings then is
