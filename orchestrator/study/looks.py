@@ -7,6 +7,10 @@ a part is enough if that reaches as low. One that settles more slowly than it st
 or of its kind showed, also plays the first look that it would have played. Before that, tests say
 what it does near its tones only, and that it is at least as far away as there.
 
+The first tests of several robots are short and share their tones, as most of these robots are told
+apart by them. A target that alone lacks tests plays the lowest look in any case, and reaches down
+at once where that is shorter.
+
 Axes that may move together share the tones of a test, dealt to them in turn. Up to three of them
 reach down to the lower end of the band in the same lowest look.
 An axis that may not move with others on some robot is tested by itself on all of them, as their
@@ -52,7 +56,7 @@ share of their distance."""
 
 CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
-looks; a first test that reaches as low saves some of these, and all robots play it."""
+looks; a first test that reaches as low saves some of these, and all that lack tests play it."""
 
 ROUNDING = 1e-6
 """Share by which a tone may be higher than it was asked for."""
@@ -234,7 +238,8 @@ class Looks:
     def _lowest(self, name: str, first: ToneChoice, wanted: tuple[int, ...]) -> ToneChoice:
         spec, band_rad_s = self._robots[name].spec, self._plan.band_rad_s
         if len(first.axes) == 1:
-            look = lowest_look(spec, self._wanted_rad_s, first) if wanted else first
+            most_rad_s = self._wanted_rad_s * (1 + ROUNDING)
+            look = lowest_look(spec, most_rad_s, first) if wanted else first
             return part_of(first) if look == first else look
         axes = (*wanted, *(axis for axis in first.axes if axis not in wanted))
         reach_rad_s = self._reach_rad_s(name, first)
@@ -350,22 +355,22 @@ class Looks:
         spec, settings, band_rad_s = self._robots[name].spec, self._settings, self._plan.band_rad_s
         periods, share = settings.first_periods, settings.share_of_settling
         first = first_look(band_rad_s, spec, periods, share, group)
-        if len(group) == 1:
+        untested = sum(bool(robot.unseen) for robot in self._robots.values())
+        if len(group) == 1 and untested > 1:
             return first
         reach_rad_s = self._reach_rad_s(name, first)
         deeper = first_look(band_rad_s, spec, periods, share, group, reach_rad_s)
+        share_claimed = min(1.0, CLAIMED / max(1, untested))
 
         def price_s(one: ToneChoice) -> float:
             most_rad_s = reach_rad_s * (1 + ROUNDING)
-            lacking = [axis for axis in group if one.omegas_of(axis)[0] > most_rad_s]
-            each_s = one.duration_s(spec) * len(self._robots)
-            if not lacking:
-                each_s += CLAIMED * one.duration_s(spec)
-            while lacking:
-                look = self._lowest(name, one, tuple(lacking))
-                each_s += CLAIMED * look.duration_s(spec)
-                lacking = [a for a in lacking[1:] if look.omegas_of(a)[0] > most_rad_s]
-            return each_s
+            lacking = tuple(axis for axis in group if one.omegas_of(axis)[0] > most_rad_s)
+            look = self._lowest(name, one, lacking)
+            looks_s = self.duration_s(name, look)
+            while lacking := tuple(a for a in lacking[1:] if look.omegas_of(a)[0] > most_rad_s):
+                look = self._lowest(name, one, lacking)
+                looks_s += self.duration_s(name, look)
+            return self.duration_s(name, one) + share_claimed * looks_s
 
         return min(first, deeper, key=price_s)
 

@@ -181,7 +181,7 @@ def first_look(
         periods: Least measuring time, in periods of the band's upper end.
         share_of_settling: Least measuring time, as a share of the settling time.
         axes: Places of the axes that play, among those of the study.
-        lowest_rad_s: Frequency in rad/s that the first of several axes reaches down to.
+        lowest_rad_s: Frequency in rad/s that the axis, or the first of several, reaches down to.
 
     Returns:
         At most `TONES_MAX` tones per axis, for as long as the robot moves at most.
@@ -199,12 +199,16 @@ def first_look(
     # Of more harmonics than that, every second one would be more than `TONES_MAX` per axis.
     most = STEP * TONES_MAX * len(axes)
     highest = min(highest, math.ceil(most / (1 - band_rad_s[0] / high)))
-    highest += 1 - highest % 2  # odd like the lowest, 1
+    highest = _odd(highest)
     periods_s = 2 * math.pi / high
     lengths_s = [count * periods_s for count in range(highest, 3, -2)]
     if 2 * math.pi / lowest_rad_s > highest * periods_s:
         # Robots refuse tones below their band, so that the lowest must not be rounded down.
-        lengths_s = [2 * math.pi / (lowest_rad_s * (1 + 1e-9)), *lengths_s]
+        deepest_s = 2 * math.pi / (lowest_rad_s * (1 + 1e-9))
+        if len(axes) == 1:
+            # Tests of all lengths share the tone at the band's upper end, where ψ is measured.
+            deepest_s = _odd(math.ceil(deepest_s / periods_s)) * periods_s
+        lengths_s = [deepest_s, *lengths_s]
     for measure_s in lengths_s:
         choice = _between(band_rad_s, measure_s, 0, axes)
         if len(axes) > 1 and (choice is None or len(choice.harmonics) < FIRST_TONES * len(axes)):
@@ -360,6 +364,11 @@ def closer_looks(
 def turns_of(axes: tuple[int, ...]) -> list[tuple[int, ...]]:
     """Return the axes in each of the orders in which they can be dealt tones in turn."""
     return [axes[turn:] + axes[:turn] for turn in range(len(axes))]
+
+
+def _odd(periods: int) -> int:
+    """Return the least number that is odd, like the lowest harmonic, and not smaller."""
+    return periods + 1 - periods % 2
 
 
 def _fewest_periods(band_rad_s: tuple[float, float], tones: int) -> int:

@@ -25,9 +25,9 @@ from nufleet.shared.robots.spec import RobotSpec
 def looks_of(
     spec: RobotSpec, band: tuple[float, float] = BAND, amplitude: float | None = None
 ) -> tuple[Looks, AxesKnowledge]:
-    plan = StudyPlan("robot", (), band, 8, "x", amplitude=amplitude)
-    known = AxesKnowledge("robot", spec, band[1], ("x",))
-    return Looks(plan, AdaptiveSettings(), {"robot": known}), known
+    plan = StudyPlan("robot", ("source",), band, 8, "x", amplitude=amplitude)
+    known = {name: AxesKnowledge(name, spec, band[1], ("x",)) for name in ("robot", "source")}
+    return Looks(plan, AdaptiveSettings(), known), known["robot"]
 
 
 @pytest.mark.thorough
@@ -113,6 +113,28 @@ def test_a_part_of_a_first_test_that_reaches_as_low_is_repeated_at_half_the_ampl
     assert again.measure_s < 0.3 * first.measure_s
     assert again.omega_rad_s[-1] > 0.8 * first.omega_rad_s[-1]
     assert looks.lowest_asked_s == 0.0, "a narrower band would not save it"
+
+
+@pytest.mark.parametrize("settling_time_s", [1.0, 12.0, 40.0])
+def test_a_target_that_alone_lacks_tests_reaches_down_at_once_where_that_is_shorter(
+    settling_time_s: float,
+) -> None:
+    spec = SPEC.model_copy(update={"settling_time_s": settling_time_s})
+    usual, plan = looks_of(spec)[0], StudyPlan("robot", ("source",), BAND, 8, "x")
+    known = {name: AxesKnowledge(name, spec, BAND[1], ("x",)) for name in ("robot", "source")}
+    rng = np.random.default_rng(0)
+    known["source"].learn(Loop(3.0).answer(usual.first["source"].excitation("x"), 0.01, rng), rng)
+    looks = Looks(plan, AdaptiveSettings(), known)
+    first, again = looks.first["robot"], claimed_look(looks, known["robot"])
+    assert first.omega_rad_s[0] <= 2.5 * BAND[0] * (1 + 1e-6) < usual.first["robot"].omega_rad_s[0]
+    assert np.diff(first.omega_rad_s).max() <= np.diff(usual.first["robot"].omega_rad_s).max()
+    shared = np.isclose(again.omega_rad_s[:, None], first.omega_rad_s, rtol=1e-9, atol=0.0)
+    assert shared.any(axis=1).all()
+    before_s = sum(
+        usual.duration_s("robot", one)
+        for one in (usual.first["robot"], usual.lowest("robot", usual.first["robot"]))
+    )
+    assert looks.asked_s < 0.95 * before_s
 
 
 def test_where_noise_leaves_no_room_for_a_smaller_amplitude_none_is_asked_for() -> None:
