@@ -31,6 +31,10 @@ CHANGED_SIGNIFICANCE = 1e-4
 """Least number of windows in which a change is sought, and the probability that white noise is
 taken for one in the middle of a test; for slow noise it is several times higher."""
 
+CHANGED_AFTER = 0.1
+"""Least share of the windows that are before a change, and after it. In the first of them, z
+departs from the others where the robot has not settled."""
+
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
 """Coefficients of determination: below the first value the test is reported as noisy; below the
@@ -223,10 +227,11 @@ def changed(
         # The phasor of the residual in each window: twice the mean of r(t) e^{−jωt}.
         values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
         values -= values.mean()
-        before = np.arange(1, windows)
+        least = 1 + int(CHANGED_AFTER * windows)
+        before = np.arange(least, windows - least + 1)
         # Without the mean, the sums before and after a step are opposite, so one of them suffices:
         # S/n₁ + S/n₂ is the difference of the two means.
-        step = np.abs(np.cumsum(values)[:-1]) * windows / (before * (windows - before))
+        step = np.abs(np.cumsum(values)[before - 1]) * windows / (before * (windows - before))
         explained = step**2 * before * (windows - before) / windows
         total = float(np.sum(np.abs(values) ** 2))
         noise = np.maximum(total - explained, 0.0) / (windows - 2)
@@ -237,7 +242,7 @@ def changed(
         size = np.where(explained > np.maximum(limit * noise, turning), scale * step, 0.0)
         if size.max() > worst:
             worst, worst_omega = float(size.max()), omega
-            worst_at = int(edges[1 + np.argmax(size)])
+            worst_at = int(edges[before[np.argmax(size)]])
     if worst <= UNSETTLED_CHORDAL:
         return None
     return Finding(

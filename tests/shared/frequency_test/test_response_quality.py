@@ -454,3 +454,19 @@ def test_distortion_on_both_sides_of_a_tone_is_no_change_in_the_middle_of_the_te
         found = changed(noise_of_one + other, np.array([0.02]), omega_rad_s, step_s)
         assert found is not None
         assert found.code == "changed"
+
+
+def test_what_rings_at_the_beginning_is_no_change_in_the_middle_of_the_test() -> None:
+    """Once the tones have been fitted, it fills the first half-period of a fast tone."""
+    step_s, omega_rad_s = 0.02, np.arange(0.25, 10.1, 0.25)
+    times_s = step_s * np.arange(2500)
+    tones = np.exp(1j * np.outer(times_s, omega_rad_s))
+    columns = np.hstack([tones.real, tones.imag])
+    ringing = np.exp(-1.3 * times_s) * np.cos(0.8 * times_s)
+    left = ringing - columns @ np.linalg.lstsq(columns, ringing)[0]
+    scale = np.full(len(omega_rad_s), 1.0)
+    assert changed(left, scale, omega_rad_s, step_s) is None
+    payload = np.where(times_s > 20.0, np.cos(3.75 * times_s), 0.0)
+    found = changed(left + payload, scale, omega_rad_s, step_s)
+    assert found is not None
+    assert "at 3.75 rad/s" in found.text
