@@ -32,8 +32,8 @@ CHANGED_SIGNIFICANCE = 1e-4
 taken for one in the middle of a test; for slow noise it is several times higher."""
 
 CHANGED_AFTER = 0.1
-"""Least share of the windows that are before a change, and after it. In the first of them, z
-departs from the others where the robot has not settled."""
+"""Least share of the windows that are before a change. In the first of them, z departs from the
+others where the robot has not settled."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
@@ -227,8 +227,7 @@ def changed(
         # The phasor of the residual in each window: twice the mean of r(t) e^{−jωt}.
         values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
         values -= values.mean()
-        least = 1 + int(CHANGED_AFTER * windows)
-        before = np.arange(least, windows - least + 1)
+        before = np.arange(1 + int(CHANGED_AFTER * windows), windows)
         # Without the mean, the sums before and after a step are opposite, so one of them suffices:
         # S/n₁ + S/n₂ is the difference of the two means.
         step = np.abs(np.cumsum(values)[before - 1]) * windows / (before * (windows - before))

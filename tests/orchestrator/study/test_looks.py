@@ -23,10 +23,15 @@ from nufleet.shared.robots.spec import RobotSpec
 
 
 def looks_of(
-    spec: RobotSpec, band: tuple[float, float] = BAND, amplitude: float | None = None
+    spec: RobotSpec,
+    band: tuple[float, float] = BAND,
+    amplitude: float | None = None,
+    *,
+    alone: bool = False,
 ) -> tuple[Looks, AxesKnowledge]:
     plan = StudyPlan("robot", ("source",), band, 8, "x", amplitude=amplitude)
-    known = {name: AxesKnowledge(name, spec, band[1], ("x",)) for name in ("robot", "source")}
+    untested = ("robot",) if alone else ("robot", "source")
+    known = {name: AxesKnowledge(name, spec, band[1], ("x",)) for name in untested}
     return Looks(plan, AdaptiveSettings(), known), known["robot"]
 
 
@@ -39,6 +44,7 @@ def looks_of(
     sample_time_s=st.sampled_from([0.001, 0.02, 0.1, 1.0]),
     amplitude=st.none() | st.floats(1e-3, 10.0),
     played=st.floats(0.01, 0.5),
+    alone=st.booleans(),
 )
 def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
     settling_time_s: float,
@@ -47,6 +53,7 @@ def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
     sample_time_s: float,
     amplitude: float | None,
     played: float,
+    alone: bool,
 ) -> None:
     high = min(low * span, 0.9 * np.pi / sample_time_s)
     if high < 1.2 * low:
@@ -60,7 +67,7 @@ def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
             "duration_max_s": 3600.0,
         }
     )
-    looks, known = looks_of(spec, (low, high), amplitude)
+    looks, known = looks_of(spec, (low, high), amplitude, alone=alone)
     first = looks.first["robot"]
     rng = np.random.default_rng(0)
     test = looks.excitation("robot", first)
