@@ -145,6 +145,7 @@ class AdaptiveStudy:
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
             responses=responses,
+            known={name: tuple(all_known) for name, all_known in self.responses.items()},
             sampled_psi=sampled_psi(self._plan.target, sources, responses),
             curves=curves_of(belief, tested),
             ranking=ranking_of_axes(compared, self._robots, self._plan.target, leader, unlooked),

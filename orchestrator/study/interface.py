@@ -195,6 +195,8 @@ class Report:
     """All frequencies that were played in the round, in rad/s, rising."""
     responses: Responses
     """Responses that were measured in the round, by robot."""
+    known: Mapping[str, Sequence[FrequencyResponse]]
+    """All responses up to now, those from before the study included, by robot."""
     sampled_psi: Mapping[str, float]
     """Largest chordal distance measured in the round, by source."""
     curves: tuple[Curve, ...]

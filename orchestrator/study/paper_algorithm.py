@@ -147,6 +147,7 @@ class PaperStudy:
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
             responses=responses,
+            known={name: tuple(measured) for name, measured in self._responses.items()},
             sampled_psi=sampled_psi,
             curves=curves,
             ranking=tuple(sorted(estimates, key=lambda estimate: estimate.psi)),

@@ -6,12 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from nufleet.orchestrator.study.interface import Curve, SourceEstimate
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.frequency_test.excitation import Tone
 
 RobotStatus = Literal["idle", "running", "resting", "stopped", "fault", "lost"]
 MessageLevel = Literal["debug", "info", "warning", "error"]
+
+ToneResponses = Mapping[float, complex]
+"""Response z(ω) of one robot, by frequency ω in rad/s."""
 
 LEADERS = 6
 """Number of sources that are drawn in full, so that the rest do not hide them."""
@@ -69,18 +75,25 @@ class TestSamplesEvent:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The responses of robots to the same tones, as they are drawn together."""
+    """The responses of robots to tones, as they are drawn together."""
 
     t_s: float
     """Time at which they were known."""
     omega_rad_s: tuple[float, ...]
-    """Frequencies of the tones."""
-    responses: Mapping[str, tuple[complex, ...]]
-    """Response z(ω) at each frequency of `omega_rad_s`, by robot that responded."""
+    """Frequencies of the latest tones, rising."""
+    responses: Mapping[str, ToneResponses]
+    """What is known of each robot that responded, by robot."""
     target: str
     """Name of the target."""
     leaders: tuple[str, ...]
     """Names of the sources that are drawn in full, the best ones, best first."""
+
+    def psi(self, source: str) -> dict[float, float]:
+        """Return the chordal distances ψ(z_S, z_T) at the latest tones known of both, by ω."""
+        own, others = self.responses.get(self.target, {}), self.responses.get(source, {})
+        both = [omega for omega in self.omega_rad_s if omega in own and omega in others]
+        z = np.array([[others[omega], own[omega]] for omega in both]).reshape(-1, 2)
+        return dict(zip(both, chordal_distance(z[:, 0], z[:, 1]).tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +105,9 @@ class IterationEvent:
     iteration: int
     """Number of the round, from 1."""
     omega_rad_s: tuple[float, ...]
-    """Frequencies that were tested."""
-    responses: Mapping[str, tuple[complex, ...]]
-    """Response z(ω) at each frequency of `omega_rad_s`, by robot that responded."""
+    """Frequencies that the target was tested at, rising; those of another robot if it rested."""
+    responses: Mapping[str, ToneResponses]
+    """What is known of the target, the leaders and all robots that responded, by robot."""
     target: str
     """Name of the target."""
     curves: tuple[Curve, ...]
@@ -111,7 +124,7 @@ class IterationEvent:
 
     @property
     def answers(self) -> Answers:
-        """Responses of the round."""
+        """Responses that the round is compared by."""
         return Answers(self.t_s, self.omega_rad_s, self.responses, self.target, self.leaders)
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from nufleet.orchestrator.viewer.events import LEADERS, Answers, TestSamplesEvent
 from nufleet.shared.arrays import ComplexArray, FloatArray
-from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.frequency_test.excitation import Tone
 
 RIDGE = 1e-3
@@ -176,31 +176,28 @@ class RunningTests:
     def _answers(self, t_s: float, z: dict[str, dict[float, complex]]) -> Answers | None:
         """Return the responses at the tones that the target plays, of the robots that play them."""
         common = z.get(self._target) or next(iter(z.values()))
-        omega_rad_s = tuple(sorted(common))
-        if not omega_rad_s:
+        if not common:
             return None
-        responses = {
-            robot: tuple(tones[omega] for omega in omega_rad_s)
-            for robot, tones in z.items()
-            if common.keys() <= tones.keys()
-        }
+        responses = {robot: tones for robot, tones in z.items() if common.keys() <= tones.keys()}
         leaders = tuple(robot for robot in self._leaders if robot in responses)
-        if not leaders:
-            farthest = largest_psi(responses, self._target)
-            leaders = tuple(sorted(farthest, key=lambda robot: farthest[robot])[:LEADERS])
-        return Answers(t_s, omega_rad_s, responses, self._target, leaders)
+        answers = Answers(t_s, tuple(sorted(common)), responses, self._target, leaders)
+        if leaders:
+            return answers
+        farthest = largest_psi(answers)
+        return replace(
+            answers, leaders=tuple(sorted(farthest, key=lambda robot: farthest[robot])[:LEADERS])
+        )
 
 
-def largest_psi(responses: Mapping[str, tuple[complex, ...]], target: str) -> dict[str, float]:
+def largest_psi(answers: Answers) -> dict[str, float]:
     """Return the largest chordal distance over the tones to the target, by source.
 
     It is 0 for all while the target's response is not known.
     """
-    own = np.array(responses.get(target, ()))
     return {
-        source: float(chordal_distance(np.array(z), own).max()) if len(own) else 0.0
-        for source, z in responses.items()
-        if source != target
+        source: max(answers.psi(source).values(), default=0.0)
+        for source in answers.responses
+        if source != answers.target
     }
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
+from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 from nufleet.orchestrator.viewer.clock import ViewerClock
 from nufleet.orchestrator.viewer.events import (
+    LEADERS,
     IterationEvent,
     MessageEvent,
     RobotStateEvent,
@@ -18,6 +19,7 @@ from nufleet.orchestrator.viewer.events import (
 )
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.wire.messages import RobotState, RobotStatus, Telemetry
 
 _CALM = (RobotStatus.IDLE, RobotStatus.RESTING)
@@ -90,9 +92,7 @@ class LiveView:
             if (state := self._states.get(outcome.robot)) is not None:
                 self._emit_state(state)
         self._unheard.clear()
-        axis = self._plan.axis
-        own = {robot: one.own_entries.get(axis, one) for robot, one in report.responses.items()}
-        omega_rad_s, responses = together(own, self._plan.target)
+        omega_rad_s, responses = drawn_of(report, self._plan)
         longest_s = max((o.result.plan.duration_s for o in measured), default=0.0)
         self._clock.advance_to(self._asked_s + longest_s)
         self._emit(
@@ -181,31 +181,38 @@ class LiveView:
         )
 
 
-def together(
-    responses: Responses, target: str
-) -> tuple[tuple[float, ...], dict[str, tuple[complex, ...]]]:
-    """Return the responses of a round that can be drawn together, at common frequencies.
+def drawn_of(
+    report: Report, plan: StudyPlan
+) -> tuple[tuple[float, ...], dict[str, dict[float, complex]]]:
+    """Return the latest tones and what is known of the robots that are drawn after a round.
 
-    Robots may play different tones in one round. Only robots that played all tones of the target's
-    test are returned. When the target rested, the first robot takes its place.
+    These are the target, the best sources and all robots that played. Robots may play different
+    tones in a round, and sources whose stored responses replace tests play none.
 
     Args:
-        responses: Frequency responses of the round, by robot.
-        target: Name of the target.
+        report: Report of the round.
+        plan: Plan of the study, whose first axis is drawn.
 
     Returns:
-        Frequencies in rad/s, and the response z(ω) at each of them, by robot.
+        Frequencies that the target played in the round in rad/s, rising, or another robot if the
+        target rested; and the latest response z(ω) by frequency, by robot.
     """
-    if not responses:
-        return (), {}
-    leader = responses[target] if target in responses else next(iter(responses.values()))
-    omega_rad_s = tuple(leader.omega_rad_s.tolist())
-    z = {
-        robot: dict(zip(response.omega_rad_s.tolist(), response.z.tolist(), strict=True))
-        for robot, response in responses.items()
+    played = [_by_tone([one], plan.axis) for one in report.responses.values()]
+    if plan.target in report.responses:
+        played.insert(0, _by_tone([report.responses[plan.target]], plan.axis))
+    leaders = (row.robot for row in report.ranking[:LEADERS])
+    robots = dict.fromkeys((plan.target, *leaders, *report.responses))
+    return tuple(sorted(next(filter(None, played), {}))), {
+        robot: _by_tone(report.known[robot], plan.axis) for robot in robots if robot in report.known
     }
-    return omega_rad_s, {
-        robot: tuple(values[omega] for omega in omega_rad_s)
-        for robot, values in z.items()
-        if all(omega in values for omega in omega_rad_s)
+
+
+def _by_tone(responses: Sequence[FrequencyResponse], axis: str) -> dict[float, complex]:
+    """Return the latest response of an axis to its own reference, by frequency in rad/s."""
+    own = [one.own_entries.get(axis) if one.own_entries else one for one in responses]
+    return {
+        omega: z
+        for one in own
+        if one is not None
+        for omega, z in zip(one.omega_rad_s.tolist(), one.z.tolist(), strict=True)
     }

@@ -31,16 +31,17 @@ class Differences:
     def draw(self, answers: Answers) -> None:
         """Draw responses at the tone where the sources are farthest, at the time set on the stream.
 
-        See `telling_tone` for the choice of the tone.
+        See `telling_tone` for the choice of the tone. While nothing can be compared, as when the
+        target is tested alone, the latest comparison stays.
         """
         tone = telling_tone(answers)
         now = responses_at(answers, tone)
         sources = [s for s in now if s != answers.target] if answers.target in now else []
+        if not sources:
+            return
         for gone in self._drawn - set(sources):
             self._stream.log(f"difference/sources/{gone}", rr.Clear(recursive=False))
         self._drawn = set(sources)
-        if not sources:
-            return
         target = np.array(now[answers.target])
         z = np.array([now[source] for source in sources])
         psi = chordal_distance(z, target)
@@ -48,7 +49,7 @@ class Differences:
         shown = [p for s, p in zip(sources, psi, strict=True) if s in leaders] or list(psi)
         step = round_up(max(float(max(shown)), 1e-6) / 4)
         scale = RADIUS / (step * int(np.ceil(max(float(max(shown)) / step, 1.0))))
-        self._draw_rings(answers.omega_rad_s[tone], step, scale)
+        self._draw_rings(tone, step, scale)
         places = _within(around(complex(target), z) * scale)
         for source, place in zip(sources, places, strict=True):
             self._draw_source(source, place, in_full=source in leaders)

@@ -28,7 +28,7 @@ class Estimates:
         """Draw what the tests in progress have shown; before the first round, as the ranking."""
         if answers.target not in answers.responses:
             return
-        farthest = largest_psi(answers.responses, answers.target)
+        farthest = largest_psi(answers)
         for source in answers.leaders:
             self._draw_series(source, "running", farthest[source], 0.7)
         if not self._ranked:

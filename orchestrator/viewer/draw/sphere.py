@@ -72,7 +72,7 @@ class Sphere:
     def draw(self, answers: Answers) -> None:
         """Draw responses at the time that is set on the stream."""
         for robot, tones in answers.responses.items():
-            self._known.setdefault(robot, {}).update(zip(answers.omega_rad_s, tones, strict=False))
+            self._known.setdefault(robot, {}).update(tones)
         leaders = answers.leaders
         now = {r: np.array(z) for r, z in responses_at(answers, telling_tone(answers)).items()}
         for robot, z in now.items():

@@ -25,7 +25,6 @@ from nufleet.orchestrator.viewer.draw.marks import labels_2d, lines_2d, lines_3d
 from nufleet.orchestrator.viewer.draw.palette import GRID, QUIET, TEXT, Colour, Palette
 from nufleet.orchestrator.viewer.events import Answers, IterationEvent
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.distance.chordal import chordal_distance
 
 CAMERA = "psi/plot"
 DISTANCE = 400.0
@@ -68,21 +67,19 @@ class Surrogates:
 
     def draw_running(self, answers: Answers) -> None:
         """Draw the distances that tests in progress have shown, as small points on a thin line."""
-        target = np.array(answers.responses.get(answers.target, ()))
-        sources = [source for source in answers.leaders if len(target)]
-        self._clear_running(keep=sources)
-        if not sources:
+        psi = {s: known for s in answers.leaders if (known := answers.psi(s))}
+        self._clear_running(keep=psi)
+        if not psi:
             return
-        omega_rad_s = np.array(answers.omega_rad_s)
-        psi = {s: chordal_distance(np.array(answers.responses[s]), target) for s in sources}
         if self._axes is None:
-            highest = max(float(distances.max()) for distances in psi.values())
-            axes = axes_over(omega_rad_s[0], omega_rad_s[-1], highest)
+            highest = max(max(known.values()) for known in psi.values())
+            axes = axes_over(answers.omega_rad_s[0], answers.omega_rad_s[-1], highest)
             self._draw_axes(axes, answers.omega_rad_s)
         else:
             axes = self._axes
-        for source, distances in psi.items():
+        for source, known in psi.items():
             colour = self._palette.of(source)
+            omega_rad_s, distances = np.array(list(known)), np.array(list(known.values()))
             places = _place(axes, omega_rad_s, distances, _SAMPLES)
             self._stream.log(
                 f"{RUNNING}/{source}",

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from nufleet.orchestrator.viewer.events import Answers
-from nufleet.shared.distance.chordal import chordal_distance
 
 
-def telling_tone(answers: Answers) -> int:
-    """Return the index of the tone at which the leading sources are farthest from the target.
+def telling_tone(answers: Answers) -> float:
+    """Return the latest tone at which the leading sources are farthest from the target, in rad/s.
 
-    The distance is the sum of the chordal distances ψ(z_S, z_T) over the leading sources.
+    The distance is the sum of the chordal distances ψ(z_S, z_T) over the leading sources. Tones
+    that more of them have responded to come first: sources whose stored responses replace tests
+    share few tones with the target.
+
+    Args:
+        answers: Responses to compare.
+
+    Returns:
+        The frequency; 0 where there are no tones.
     """
-    target = answers.responses.get(answers.target, ())
-    farness = np.zeros(len(answers.omega_rad_s))
-    for source in answers.leaders:
-        z = answers.responses.get(source, ())
-        both = min(len(z), len(target), len(farness))
-        farness[:both] += chordal_distance(np.array(z[:both]), np.array(target[:both]))
-    return int(np.argmax(farness)) if len(farness) else 0
+    psi = [answers.psi(source) for source in answers.leaders]
+
+    def farness(omega_rad_s: float) -> tuple[int, float]:
+        known = [one[omega_rad_s] for one in psi if omega_rad_s in one]
+        return len(known), sum(known)
+
+    return max(answers.omega_rad_s, key=farness, default=0.0)
 
 
-def responses_at(answers: Answers, tone: int) -> dict[str, complex]:
-    """Return the response z(ω) at the tone with the given index, by robot that has one."""
-    return {robot: z[tone] for robot, z in answers.responses.items() if len(z) > tone}
+def responses_at(answers: Answers, omega_rad_s: float) -> dict[str, complex]:
+    """Return the response z(ω) at a tone, by robot that responded to it."""
+    return {robot: z[omega_rad_s] for robot, z in answers.responses.items() if omega_rad_s in z}

@@ -36,12 +36,12 @@ def iteration_event(
 ) -> IterationEvent:
     grid = np.geomspace(0.1, 10.0, 50)
     peak = {source: 0.02 * (n + 1) for n, source in enumerate(sources)}
-    responses = {source: (complex(0.7 + peak[source], -0.2),) for source in sources}
+    responses = {source: {2.0: complex(0.7 + peak[source], -0.2)} for source in sources}
     return IterationEvent(
         t_s=t_s,
         iteration=iteration,
         omega_rad_s=(2.0,),
-        responses={"target": (0.7 - 0.2j,), **responses},
+        responses={"target": {2.0: 0.7 - 0.2j}, **responses},
         target="target",
         curves=tuple(
             Curve(

@@ -52,10 +52,10 @@ def test_in_whatever_parts_the_samples_come_the_responses_become_the_robots(part
     assert last.omega_rad_s == TONES_RAD_S
     assert last.leaders == ("near", "far")
     for robot in ROBOTS:
-        expected = [z_of(robot, omega) for omega in TONES_RAD_S]
+        expected = {omega: z_of(robot, omega) for omega in TONES_RAD_S}
         assert last.responses[robot] == pytest.approx(expected, abs=0.02)
     exact = {r: np.array([z_of(r, w) for w in TONES_RAD_S]) for r in ROBOTS}
-    for source, psi in largest_psi(last.responses, "target").items():
+    for source, psi in largest_psi(last).items():
         true = chordal_distance(exact[source], exact["target"]).max()
         assert psi == pytest.approx(true, abs=0.02)
 
@@ -112,7 +112,7 @@ def test_samples_that_are_lost_on_the_way_do_not_begin_the_test_again() -> None:
         for begin_s, end_s in ((0.0, 4.0), (6.0, 12.0)):
             running.add(samples(robot, begin_s, end_s))
     last = list(running.look())[-1]
-    expected = [z_of("near", omega) for omega in TONES_RAD_S]
+    expected = {omega: z_of("near", omega) for omega in TONES_RAD_S}
     assert last.responses["near"] == pytest.approx(expected, abs=0.02)
 
 

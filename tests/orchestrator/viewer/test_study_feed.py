@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -18,7 +20,7 @@ from nufleet.orchestrator.viewer.events import (
     TestSamplesEvent,
     ViewerEvent,
 )
-from nufleet.orchestrator.viewer.study_feed import LiveView, together
+from nufleet.orchestrator.viewer.study_feed import LiveView, drawn_of
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Quality
@@ -44,6 +46,24 @@ class ObservedFleet:
 def response(**z: complex) -> FrequencyResponse:
     omega = np.array([float(name.removeprefix("w")) for name in z])
     return FrequencyResponse(omega, np.array(list(z.values())), np.zeros(len(z)), 4, Quality())
+
+
+def report(
+    responses: Mapping[str, FrequencyResponse],
+    known: Mapping[str, Sequence[FrequencyResponse]] | None = None,
+    dropped: Mapping[str, str] = MappingProxyType({}),
+) -> Report:
+    """What a study says after a round; None where all that is known was measured in it."""
+    return Report(
+        iteration=1,
+        omega_rad_s=(2.0,),
+        responses=responses,
+        known={robot: [one] for robot, one in responses.items()} if known is None else known,
+        sampled_psi={"source-1": 0.1},
+        curves=(),
+        ranking=(SourceEstimate("source-1", 0.1, 0.08, 0.12, 2.0, 1),),
+        dropped=dropped,
+    )
 
 
 def question() -> Question:
@@ -168,33 +188,40 @@ def test_a_failed_attempt_is_logged(view: LiveView, seen: list[ViewerEvent]) -> 
 def test_a_round_is_drawn_with_what_it_taught_and_who_was_lost(
     view: LiveView, seen: list[ViewerEvent]
 ) -> None:
-    ranking = (SourceEstimate("source-1", 0.1, 0.08, 0.12, 2.0, 1),)
-    report = Report(
-        iteration=1,
-        omega_rad_s=(2.0,),
+    told = report(
         responses={"target": response(w2=1.0), "source-1": response(w2=0.9)},
-        sampled_psi={"source-1": 0.1},
-        curves=(),
-        ranking=ranking,
         dropped={"source-9": "lost"},
     )
     view.asked(question())
-    view.told(question(), {}, report)
+    view.told(question(), {}, told)
     (event,) = seen
     assert isinstance(event, IterationEvent)
-    assert event.ranking == ranking
-    assert event.responses == {"target": (1.0,), "source-1": (0.9,)}
+    assert event.ranking == told.ranking
+    assert event.omega_rad_s == (2.0,)
+    assert event.responses == {"target": {2.0: 1.0}, "source-1": {2.0: 0.9}}
     assert event.messages == ("without source-9: lost",)
 
 
-def test_only_robots_that_played_the_target_s_tones_are_drawn_beside_it() -> None:
-    omega, z = together(
-        {
-            "target": response(w2=1.0, w4=0.5),
-            "source-1": response(w1=9.0, w2=0.9, w4=0.4),
-            "source-2": response(w2=0.8),
-        },
-        "target",
-    )
+def test_the_best_sources_are_drawn_by_their_earlier_tests_where_the_target_plays_alone() -> None:
+    known = {
+        "target": [response(w2=1.0, w4=0.5)],
+        "source-1": [response(w1=0.9, w2=0.8), response(w2=0.7)],
+        "source-8": [response(w2=0.6)],
+    }
+    omega, z = drawn_of(report(responses={"target": known["target"][0]}, known=known), PLAN)
     assert omega == (2.0, 4.0)
-    assert z == {"target": (1.0, 0.5), "source-1": (0.9, 0.4)}
+    assert z == {"target": {2.0: 1.0, 4.0: 0.5}, "source-1": {1.0: 0.9, 2.0: 0.7}}
+
+
+def test_where_the_target_rests_the_tones_of_another_robot_are_drawn() -> None:
+    known = {"target": [response(w2=1.0)], "source-1": [response(w2=0.9), response(w3=0.8)]}
+    omega, z = drawn_of(report(responses={"source-1": known["source-1"][1]}, known=known), PLAN)
+    assert omega == (3.0,)
+    assert z == {"target": {2.0: 1.0}, "source-1": {2.0: 0.9, 3.0: 0.8}}
+
+
+def test_responses_of_other_axes_than_the_first_are_not_drawn() -> None:
+    other = replace(response(w2=0.3), axis="y")
+    known = {"target": [response(w2=1.0), other], "source-1": [other]}
+    omega, z = drawn_of(report(responses={"target": other}, known=known), PLAN)
+    assert (omega, z) == ((), {"target": {2.0: 1.0}, "source-1": {}})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
@@ -28,7 +29,7 @@ from nufleet.orchestrator.viewer.draw.estimates import ranking_table
 from nufleet.orchestrator.viewer.draw.marks import drawable
 from nufleet.orchestrator.viewer.draw.outline import outline
 from nufleet.orchestrator.viewer.draw.palette import TARGET, Palette
-from nufleet.orchestrator.viewer.draw.telling import telling_tone
+from nufleet.orchestrator.viewer.draw.telling import responses_at, telling_tone
 from nufleet.orchestrator.viewer.events import LEADERS, MessageEvent, TakenBackEvent
 from nufleet.orchestrator.viewer.server.open import open_native
 from nufleet.orchestrator.viewer.server.picture import screenshot
@@ -231,9 +232,22 @@ def test_of_a_large_fleet_the_best_are_drawn_in_full() -> None:
 
 def test_the_most_telling_tone_is_where_the_sources_differ_most() -> None:
     event = iteration_event()
-    tones = {robot: ((0.9 + 0j), z[0], (0.5 + 0j)) for robot, z in event.responses.items()}
-    several = type(event)(**{**vars(event), "omega_rad_s": (1.0, 2.0, 3.0), "responses": tones})
-    assert telling_tone(several.answers) == 1
+    tones = {robot: {1.0: 0.9 + 0j, **z, 3.0: 0.5 + 0j} for robot, z in event.responses.items()}
+    several = replace(event, omega_rad_s=(1.0, 2.0, 3.0), responses=tones)
+    assert telling_tone(several.answers) == 2.0
+
+
+def test_a_tone_that_more_of_the_best_sources_know_is_more_telling_than_a_wider_gap() -> None:
+    event = iteration_event()
+    tones = {robot: {**z, 5.0: 0.7 - 0.2j} for robot, z in event.responses.items()}
+    tones["s3"] = {9.0: -1 + 0j, **tones["s3"]}
+    tones["target"] = {9.0: 0.1 + 0j, **tones["target"]}
+    for robot in ("s1", "s2"):
+        del tones[robot][2.0]
+    several = replace(event, omega_rad_s=(2.0, 5.0, 9.0), responses=tones)
+    assert telling_tone(several.answers) == 5.0
+    assert set(responses_at(several.answers, 5.0)) == {"target", "s1", "s2", "s3"}
+    assert telling_tone(replace(several, omega_rad_s=()).answers) == 0.0
 
 
 def test_the_ranking_is_a_table_best_first() -> None:
