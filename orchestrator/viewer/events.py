@@ -89,9 +89,9 @@ class Answers:
     """Names of the sources that are drawn in full, the best ones, best first."""
 
     def psi(self, source: str) -> dict[float, float]:
-        """Return the chordal distances ψ(z_S, z_T) at the latest tones known of both, by ω."""
+        """Return the chordal distances ψ(z_S, z_T) at the tones known of both, by ω, rising."""
         own, others = self.responses.get(self.target, {}), self.responses.get(source, {})
-        both = [omega for omega in self.omega_rad_s if omega in own and omega in others]
+        both = sorted(own.keys() & others.keys())
         z = np.array([[others[omega], own[omega]] for omega in both]).reshape(-1, 2)
         return dict(zip(both, chordal_distance(z[:, 0], z[:, 1]).tolist(), strict=True))
 

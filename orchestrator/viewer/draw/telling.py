@@ -10,13 +10,13 @@ def telling_tone(answers: Answers) -> float:
 
     The distance is the sum of the chordal distances ψ(z_S, z_T) over the leading sources. Tones
     that more of them have responded to come first: sources whose stored responses replace tests
-    share few tones with the target.
+    share few tones with the target. Where they share none of the latest, earlier ones count.
 
     Args:
         answers: Responses to compare.
 
     Returns:
-        The frequency; 0 where there are no tones.
+        The frequency; without anything to compare, the lowest of the latest tones, or 0.
     """
     psi = [answers.psi(source) for source in answers.leaders]
 
@@ -24,7 +24,9 @@ def telling_tone(answers: Answers) -> float:
         known = [one[omega_rad_s] for one in psi if omega_rad_s in one]
         return len(known), sum(known)
 
-    return max(answers.omega_rad_s, key=farness, default=0.0)
+    compared = set().union(*psi)
+    tones = compared.intersection(answers.omega_rad_s) or compared or answers.omega_rad_s
+    return max(sorted(tones), key=farness, default=0.0)
 
 
 def responses_at(answers: Answers, omega_rad_s: float) -> dict[str, complex]:

@@ -247,7 +247,19 @@ def test_a_tone_that_more_of_the_best_sources_know_is_more_telling_than_a_wider_
     several = replace(event, omega_rad_s=(2.0, 5.0, 9.0), responses=tones)
     assert telling_tone(several.answers) == 5.0
     assert set(responses_at(several.answers, 5.0)) == {"target", "s1", "s2", "s3"}
-    assert telling_tone(replace(several, omega_rad_s=()).answers) == 0.0
+
+
+def test_sources_that_share_none_of_the_latest_tones_are_compared_at_earlier_ones() -> None:
+    event = iteration_event()
+    alone = {**event.responses, "target": {**event.responses["target"], 7.0: 0.2 + 0j}}
+    assert telling_tone(replace(event, omega_rad_s=(7.0,), responses=alone).answers) == 2.0
+
+
+def test_while_nothing_can_be_compared_the_lowest_tone_is_shown() -> None:
+    event = iteration_event()
+    alone = {"target": {3.0: 0.5 + 0j, 7.0: 0.2 + 0j}}
+    assert telling_tone(replace(event, omega_rad_s=(3.0, 7.0), responses=alone).answers) == 3.0
+    assert telling_tone(replace(event, omega_rad_s=(), responses={}).answers) == 0.0
 
 
 def test_the_ranking_is_a_table_best_first() -> None:
