@@ -28,6 +28,10 @@ multiple of the band's upper end; beyond it, the residual repeats."""
 MODE_DAMPINGS = (0.02, 0.045, 0.1, 0.22, 0.5)
 """Damping ratios ζ of the candidate modes."""
 
+MEASURED = 0.5
+"""Prior probability that a mode of a robot in which something was measured to decay slowly is what
+decays, within a factor e of the rate that was measured."""
+
 SLOWER_EXPONENT = 8
 """Exponent of the prior probability of modes that decay k times slower than the robot settles, k to
 the power of minus this. Tests show whether it settles as it says, so that it may be large."""
@@ -50,6 +54,9 @@ class ResponsePrior:
     decay_min_1_s: float
     """Decay rate σ = ζω₀ in 1/s, from the robot's settling time, below which a mode is the less
     probable the slower it is. It excludes nothing: a stated settling time may be wrong."""
+    measured: bool = False
+    """Whether tests showed that something in the robot decays as slowly as that, though its stated
+    settling time does not say so."""
     gain_std: float = 0.5
     """Standard deviation of the gain b₀ about 1."""
     lead_std: float = 1.5
@@ -107,7 +114,12 @@ class ResponsePrior:
         # Uniform over the dampings and, for each, between uniform over ω₀ and over ln ω₀.
         believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0) ** SLOWER_EXPONENT
         weight = believed * np.sqrt(omega) / np.repeat(counts, counts)
-        return omega, damping, np.log(weight / weight.sum())
+        weight /= weight.sum()
+        if self.measured:
+            log_near = np.log(weight) - 0.5 * np.log(damping * omega / self.decay_min_1_s) ** 2
+            near = np.exp(log_near - log_near.max())
+            weight = MEASURED * near / near.sum() + (1 - MEASURED) * weight
+        return omega, damping, np.log(weight)
 
 
 def response(theta: FloatArray, omega_rad_s: FloatArray) -> ComplexArray:

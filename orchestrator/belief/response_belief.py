@@ -53,6 +53,9 @@ class ModelSettings:
     second order."""
     one_more_mode: float = 0.3
     """Prior probability of a mode beyond those fitted."""
+    slow_mode: float = 0.8
+    """That of the first mode, if something in the robot was measured to decay slowly: it may be
+    the loop itself."""
     modes_max: int = 2
     """Largest number of fitted modes."""
 
@@ -237,11 +240,12 @@ class ResponseModel:
             stds.append(np.concatenate([before.std, std]))
         theta, cost = fit_from(np.array(starts), floored, np.array(means), np.array(stds))
         chosen = int(np.argmin(cost))
-        log_prior = before.log_prior + np.log(self._settings.one_more_mode)
+        log_prior = before.log_prior + np.log(self._one_more_mode(before))
         return _Expansion(theta[chosen], means[chosen], stds[chosen], log_prior)
 
     def _components_about(self, expansion: _Expansion) -> list[_Component]:
         tones, settings = self.tones, self._settings
+        one_more = self._one_more_mode(expansion)
         z, slope = response_and_slope(expansion.theta, tones.omega_rad_s)
         # δ = θ − prior mean has mean 0, so the linearised z(δ = 0) is subtracted from the data.
         at_prior = z + slope @ (expansion.mean - expansion.theta)
@@ -289,10 +293,8 @@ class ResponseModel:
             )
             # One more mode multiplies the evidence by exp(½ uᵀS⁻¹u) / √det S.
             gain = 0.5 * np.sum(u * mean, axis=1) - 0.5 * np.log(determinant)
-            with_mode = np.log(settings.one_more_mode) + self._grid_log_weight + gain
-            log_weights = log_evidence + np.concatenate(
-                [[np.log1p(-settings.one_more_mode)], with_mode]
-            )
+            with_mode = np.log(one_more) + self._grid_log_weight + gain
+            log_weights = log_evidence + np.append(np.log1p(-one_more), with_mode)
             misfit = residual @ residual - half @ half - np.append(0.0, np.sum(u * mean, axis=1))
             found.append(
                 _Component(
@@ -300,6 +302,12 @@ class ResponseModel:
                 )
             )
         return found
+
+    def _one_more_mode(self, expansion: _Expansion) -> float:
+        """Return the prior probability of a mode beyond those of an expansion."""
+        if self._prior.measured and len(expansion.theta) == LOOP_PARAMETERS:
+            return self._settings.slow_mode
+        return self._settings.one_more_mode
 
     def _mode_columns(self, expansion: _Expansion, omega_rad_s: FloatArray) -> ComplexArray:
         delay_s = float(expansion.theta[LOOP_PARAMETERS - 1])

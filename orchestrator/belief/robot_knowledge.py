@@ -281,7 +281,7 @@ class RobotKnowledge:
     def prior(self) -> ResponsePrior:
         """The belief about the robot before its tests, but for its settling time."""
         decay_min_1_s = DECAYS_UNTIL_SETTLED / max(self.settling_time_s, 1e-3)
-        return ResponsePrior(self._omega_max_rad_s, decay_min_1_s)
+        return ResponsePrior(self._omega_max_rad_s, decay_min_1_s, self.misstated)
 
     @property
     def lowest_rad_s(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -76,14 +78,26 @@ def test_a_mode_is_the_less_probable_the_slower_it_decays_than_the_robot_says() 
         assert 0.0 < slower < probability
 
 
+def test_a_mode_probably_is_what_was_measured_to_decay() -> None:
+    stated, known = (replace(PRIOR, decay_min_1_s=0.05, measured=one) for one in (False, True))
+    chances = []
+    for prior in (stated, known):
+        omega, damping, log_weight = prior.mode_grid()
+        alike = np.abs(np.log(omega * damping / prior.decay_min_1_s)) < 1
+        chances.append(float(np.exp(log_weight)[alike].sum()))
+    assert chances[0] < 0.3
+    assert 0.5 < chances[1] < 0.7
+
+
 @given(
     omega_max_rad_s=st.floats(1e-3, 3e3),
     settled=st.floats(1e-3, 1e5),  # ω_max over the slowest decay
+    measured=st.booleans(),
 )
 def test_the_grid_is_a_probability_whatever_the_robot_says(
-    omega_max_rad_s: float, settled: float
+    omega_max_rad_s: float, settled: float, measured: bool
 ) -> None:
-    prior = ResponsePrior(omega_max_rad_s, decay_min_1_s=omega_max_rad_s / settled)
+    prior = ResponsePrior(omega_max_rad_s, omega_max_rad_s / settled, measured)
     omega, damping, log_weight = prior.mode_grid()
     assert omega.shape == damping.shape == log_weight.shape
     assert omega.min() < 0.02 * omega_max_rad_s

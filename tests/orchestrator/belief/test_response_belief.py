@@ -62,6 +62,28 @@ def test_discs_of_95_percent_hold_the_truth_about_so_often(
     assert 0.89 <= float(np.mean(held)) <= 1.0
 
 
+@pytest.mark.thorough
+def test_discs_hold_the_truth_where_something_decays_slowly_between_few_tones() -> None:
+    rng = np.random.default_rng(1)
+    grid = np.linspace(*BAND, 107)
+    few_rad_s = np.linspace(0.49, 5.4, 6)
+    held: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(40):
+        omega, damping = rng.uniform(0.2, 1.4), rng.uniform(0.05, 0.2)
+        height = rng.uniform(0.1, 0.5) * rng.choice([-1, 1])
+        mode = [height, 0.0, np.log(omega), np.log(damping)]
+        theta = np.concatenate([random_loop(rng, mode=False), mode])
+        data = measured(theta, few_rad_s, 0.02, rng)
+        for known, shares in held.items():
+            prior = ResponsePrior(BAND[1], omega * damping, measured=known)
+            centre, radius = disc(ResponseModel(data, prior).draw(grid, 300, rng))
+            inside = np.abs(response(theta, grid) - centre) <= radius
+            shares.append(float(np.mean(inside)))
+    assert np.mean(held[True]) >= 0.89
+    # A stated settling time as long does not say that there is anything but the loop.
+    assert np.mean(held[True]) > np.mean(held[False])
+
+
 def test_one_short_comb_of_tones_knows_the_whole_band_to_a_few_percent() -> None:
     rng = np.random.default_rng(3)
     errors = []
