@@ -17,9 +17,13 @@ class AdaptiveSettings:
     """Least length of the first test's measuring part, in periods of the band's upper end."""
     share_of_settling: float = 0.5
     """Least length of the first test's measuring part, as a share of the settling time."""
+    first_longest: float = 0.8
+    """Most that this share requires, in periods of the band's lower end."""
     settle_share: float = 0.2
     """Share of a robot's settling time for which its tests wait, since what still rings then is
     estimated along with the tones."""
+    settle_longest: float = 0.08
+    """Most that tests as long as the first one wait, in periods of the band's lower end."""
     lowest: float = 2.5
     """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end; three
     for a first test that begins with its third harmonic."""

@@ -19,6 +19,7 @@ responses to the same test are compared.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -43,6 +44,7 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
+from nufleet.shared.robots.spec import RobotSpec
 
 NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
@@ -112,13 +114,13 @@ class Looks:
             self._smaller_asked |= {(name, place) for place in choice.axes}
         return choice.excitation(
             *self._plan.axes,
-            settle_s=self._settle_s(name),
+            settle_s=self._settle_s(name, choice),
             amplitudes=self._amplitudes(name, choice),
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
         """Return the duration of a test in s."""
-        return choice.duration_s(self._robots[name].spec, self._settle_s(name))
+        return choice.duration_s(self._robots[name].spec, self._settle_s(name, choice))
 
     def unseen(self, names: Iterable[str]) -> dict[str, ToneChoice]:
         """Return the first tests of axes that no test of a robot has played yet."""
@@ -199,14 +201,13 @@ class Looks:
 
         It is None where the robot cannot move for as long as that takes.
         """
-        robot, settings = self._robots[name], self._settings
+        robot = self._robots[name]
         if not robot.misstated:
             return
         slow = robot.spec.model_copy(update={"settling_time_s": robot.settling_time_s})
         for first in self._firsts[name]:
-            periods, share = settings.first_periods, settings.share_of_settling
             try:
-                look = first_look(self._plan.band_rad_s, slow, periods, share, first.axes)
+                look = self._first_look(slow, first.axes)
             except InvalidInputError:
                 yield None, first.axes
                 continue
@@ -306,8 +307,17 @@ class Looks:
         """Whether tests of the robot reached down to the lower end of the band on every axis."""
         return not any(self._lacking(name, first) for first in self._firsts[name])
 
-    def _settle_s(self, name: str) -> float:
-        return self._settings.settle_share * self._robots[name].settling_time_s
+    def _settle_s(self, name: str, choice: ToneChoice) -> float:
+        """Return how long a test waits in s.
+
+        In a test that measures for long, what still rings is told from the tones. In a shorter one
+        it would change them, and pass for what another amplitude does.
+        """
+        settings, settling_s = self._settings, self._robots[name].settling_time_s
+        wait_s = settings.settle_share * settling_s
+        if choice.measure_s < min(settings.share_of_settling * settling_s, self._longest_s):
+            return wait_s
+        return min(wait_s, settings.settle_longest * 2 * math.pi / self._plan.band_rad_s[0])
 
     def _known(self, name: str, place: int) -> RobotKnowledge:
         return self._robots[name].axes[self._plan.axes[place]]
@@ -350,16 +360,33 @@ class Looks:
         """Frequency in rad/s that the lowest tone must not be above, of robots that allow it."""
         return self._settings.lowest * self._plan.band_rad_s[0]
 
+    @property
+    def _longest_s(self) -> float:
+        """Most that a settling time requires of a first test, in s."""
+        return self._settings.first_longest * 2 * math.pi / self._plan.band_rad_s[0]
+
+    def _first_look(
+        self, spec: RobotSpec, axes: tuple[int, ...], lowest_rad_s: float = math.inf
+    ) -> ToneChoice:
+        return first_look(
+            self._plan.band_rad_s,
+            spec,
+            self._settings.first_periods,
+            self._settings.share_of_settling,
+            axes,
+            lowest_rad_s,
+            self._longest_s,
+        )
+
     def _first(self, name: str, group: tuple[int, ...]) -> ToneChoice:
         """Return a first test: one that reaches down to the lower end where that saves time."""
-        spec, settings, band_rad_s = self._robots[name].spec, self._settings, self._plan.band_rad_s
-        periods, share = settings.first_periods, settings.share_of_settling
-        first = first_look(band_rad_s, spec, periods, share, group)
+        spec = self._robots[name].spec
+        first = self._first_look(spec, group)
         untested = sum(bool(robot.unseen) for robot in self._robots.values())
         if len(group) == 1 and untested > 1:
             return first
         reach_rad_s = self._reach_rad_s(name, first)
-        deeper = first_look(band_rad_s, spec, periods, share, group, reach_rad_s)
+        deeper = self._first_look(spec, group, reach_rad_s)
         share_claimed = min(1.0, CLAIMED / max(1, untested))
 
         def price_s(one: ToneChoice) -> float:

@@ -163,6 +163,7 @@ def first_look(
     share_of_settling: float,
     axes: tuple[int, ...] = (0,),
     lowest_rad_s: float = math.inf,
+    longest_s: float = math.inf,
 ) -> ToneChoice:
     """Return tones over the whole band, spaced as closely as the robot's resonances require.
 
@@ -182,6 +183,7 @@ def first_look(
         share_of_settling: Least measuring time, as a share of the settling time.
         axes: Places of the axes that play, among those of the study.
         lowest_rad_s: Frequency in rad/s that the axis, or the first of several, reaches down to.
+        longest_s: Most that the settling time requires, in s.
 
     Returns:
         At most `TONES_MAX` tones per axis, for as long as the robot moves at most.
@@ -190,7 +192,8 @@ def first_look(
         InvalidInputError: The robot does not move for as long as several axes at once need.
     """
     high = band_rad_s[1]
-    wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
+    settling_s = min(share_of_settling * spec.settling_time_s, longest_s)
+    wanted_s = max(settling_s, SAMPLES_MIN * spec.sample_time_s)
     wanted = math.ceil(wanted_s * high / (2 * math.pi))
     highest = max(periods, math.ceil(wanted * (len(axes) + 1) / 2))
     if len(axes) > 1:

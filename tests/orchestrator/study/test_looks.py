@@ -171,6 +171,22 @@ def test_a_robot_that_was_measured_to_settle_slowly_is_waited_for() -> None:
     assert test.settle_s == pytest.approx(3 * share * SPEC.settling_time_s)
 
 
+def test_of_the_slowest_robots_long_tests_wait_less_than_short_ones() -> None:
+    settings, settling_s, period_s = AdaptiveSettings(), 400.0, 2 * math.pi / BAND[0]
+    slow = SPEC.model_copy(update={"settling_time_s": settling_s, "duration_max_s": 3600.0})
+    looks, known = looks_of(slow)
+    first = looks.first["robot"]
+    longest_s = settings.first_longest * period_s
+    assert longest_s <= first.measure_s < 1.1 * longest_s < settings.share_of_settling * settling_s
+    test = looks.excitation("robot", first)
+    assert test.settle_s == pytest.approx(settings.settle_longest * period_s)
+    known.learn(Loop(3.0).answer(test, 0.01, np.random.default_rng(0)), np.random.default_rng(0))
+    part = looks.lowest("robot", first, [])
+    assert part.measure_s < first.measure_s
+    test = looks.excitation("robot", part)
+    assert test.settle_s == pytest.approx(settings.settle_share * settling_s)
+
+
 REACHED_RAD_S = 2.5 * 0.2 * (1 + 1e-6)
 """Highest frequency of the lowest tone that a claim rests on, in the band of `looks_over`."""
 
