@@ -23,7 +23,8 @@ class AdaptiveSettings:
     """Share of a robot's settling time for which its tests wait, since what still rings then is
     estimated along with the tones."""
     settle_longest: float = 0.08
-    """Most that tests as long as the first one wait, in periods of the band's lower end."""
+    """Most that tests of one axis as long as the first one wait, in periods of the band's lower
+    end."""
     lowest: float = 2.5
     """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end; three
     for a first test that begins with its third harmonic."""

@@ -311,11 +311,13 @@ class Looks:
         """Return how long a test waits in s.
 
         In a test that measures for long, what still rings is told from the tones. In a shorter one
-        it would change them, and pass for what another amplitude does.
+        it would change them, and pass for what another amplitude does. In a test of several axes,
+        it is told from distortion by what does not repeat, for which the wait is needed.
         """
         settings, settling_s = self._settings, self._robots[name].settling_time_s
         wait_s = settings.settle_share * settling_s
-        if choice.measure_s < min(settings.share_of_settling * settling_s, self._longest_s):
+        long_s = min(settings.share_of_settling * settling_s, self._longest_s)
+        if choice.measure_s < long_s or len(choice.axes) > 1:
             return wait_s
         return min(wait_s, settings.settle_longest * 2 * math.pi / self._plan.band_rad_s[0])
 

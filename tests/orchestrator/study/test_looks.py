@@ -187,6 +187,17 @@ def test_of_the_slowest_robots_long_tests_wait_less_than_short_ones() -> None:
     assert test.settle_s == pytest.approx(settings.settle_share * settling_s)
 
 
+def test_the_slowest_robots_are_waited_for_in_tests_of_several_axes() -> None:
+    slow = SPEC.model_copy(update={"settling_time_s": 400.0, "duration_max_s": 3600.0})
+    both = tuple(slow.axes[0].model_copy(update={"name": axis}) for axis in "xy")
+    slow = slow.model_copy(update={"axes": both})
+    plan = StudyPlan("robot", ("source",), BAND, 8, "x", also=("y",))
+    known = {name: AxesKnowledge(name, slow, BAND[1], ("x", "y")) for name in ("robot", "source")}
+    looks = Looks(plan, AdaptiveSettings(), known)
+    test = looks.excitation("robot", looks.first["robot"])
+    assert test.settle_s == pytest.approx(AdaptiveSettings().settle_share * slow.settling_time_s)
+
+
 REACHED_RAD_S = 2.5 * 0.2 * (1 + 1e-6)
 """Highest frequency of the lowest tone that a claim rests on, in the band of `looks_over`."""
 
