@@ -195,8 +195,6 @@ class Report:
     """All frequencies that were played in the round, in rad/s, rising."""
     responses: Responses
     """Responses that were measured in the round, by robot."""
-    known: Mapping[str, Sequence[FrequencyResponse]]
-    """All responses up to now, those from before the study included, by robot."""
     sampled_psi: Mapping[str, float]
     """Largest chordal distance measured in the round, by source."""
     curves: tuple[Curve, ...]
@@ -205,6 +203,9 @@ class Report:
     """Estimates of the remaining sources, best first."""
     dropped: Mapping[str, str]
     """Reason for each source that the study lost, by source."""
+    known: Mapping[str, Sequence[FrequencyResponse]] = field(default_factory=dict)
+    """All responses up to now, those from before the study included, by robot, for those who watch
+    it; empty where only those of the round are to be seen."""
     confidence: float | None = None
     """Probability that the selected source is the right one."""
     eliminated: Mapping[str, str] = field(default_factory=dict)

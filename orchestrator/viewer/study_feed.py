@@ -201,9 +201,10 @@ def drawn_of(
     if plan.target in report.responses:
         played.insert(0, _by_tone([report.responses[plan.target]], plan.axis))
     leaders = (row.robot for row in report.ranking[:LEADERS])
+    known = report.known or {robot: [one] for robot, one in report.responses.items()}
     robots = dict.fromkeys((plan.target, *leaders, *report.responses))
     return tuple(sorted(next(filter(None, played), {}))), {
-        robot: _by_tone(report.known[robot], plan.axis) for robot in robots if robot in report.known
+        robot: _by_tone(known[robot], plan.axis) for robot in robots if robot in known
     }
 
 

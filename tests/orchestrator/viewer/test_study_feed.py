@@ -53,12 +53,12 @@ def report(
     known: Mapping[str, Sequence[FrequencyResponse]] | None = None,
     dropped: Mapping[str, str] = MappingProxyType({}),
 ) -> Report:
-    """What a study says after a round; None where all that is known was measured in it."""
+    """What a study says after a round, of which one need not tell all that is known."""
     return Report(
         iteration=1,
         omega_rad_s=(2.0,),
         responses=responses,
-        known={robot: [one] for robot, one in responses.items()} if known is None else known,
+        known=known or {},
         sampled_psi={"source-1": 0.1},
         curves=(),
         ranking=(SourceEstimate("source-1", 0.1, 0.08, 0.12, 2.0, 1),),
