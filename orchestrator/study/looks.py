@@ -77,6 +77,8 @@ class Looks:
             for place, axis in enumerate(plan.axes)
             if not all(spec.axis(axis).together for spec in specs)
         ]
+        self._untested = sum(bool(robot.unseen) for robot in robots.values())
+        """Number of robots that lacked tests when the study began."""
         together = tuple(place for place in range(len(plan.axes)) if place not in alone)
         groups = [group for group in (together, *((place,) for place in alone)) if group]
         self._alone = [plan.axes[place] for place in alone]
@@ -312,12 +314,13 @@ class Looks:
 
         In a test that measures for long, what still rings is told from the tones. In a shorter one
         it would change them, and pass for what another amplitude does. In a test of several axes,
-        it is told from distortion by what does not repeat, for which the wait is needed.
+        it is told from distortion by what does not repeat, for which the wait is needed. The test
+        of a target that alone lacks one is compared with all that is stored.
         """
         settings, settling_s = self._settings, self._robots[name].settling_time_s
         wait_s = settings.settle_share * settling_s
         long_s = min(settings.share_of_settling * settling_s, self._longest_s)
-        if choice.measure_s < long_s or len(choice.axes) > 1:
+        if self._untested == 1 or choice.measure_s < long_s or len(choice.axes) > 1:
             return wait_s
         return min(wait_s, settings.settle_longest * 2 * math.pi / self._plan.band_rad_s[0])
 
@@ -364,7 +367,12 @@ class Looks:
 
     @property
     def _longest_s(self) -> float:
-        """Most that a settling time requires of a first test, in s."""
+        """Most that a settling time requires of a first test, in s, where several robots play one.
+
+        What a single test of a target alone leaves open is looked at again and again.
+        """
+        if self._untested == 1:
+            return math.inf
         return self._settings.first_longest * 2 * math.pi / self._plan.band_rad_s[0]
 
     def _first_look(
@@ -384,12 +392,11 @@ class Looks:
         """Return a first test: one that reaches down to the lower end where that saves time."""
         spec = self._robots[name].spec
         first = self._first_look(spec, group)
-        untested = sum(bool(robot.unseen) for robot in self._robots.values())
-        if len(group) == 1 and untested > 1:
+        if len(group) == 1 and self._untested > 1:
             return first
         reach_rad_s = self._reach_rad_s(name, first)
         deeper = self._first_look(spec, group, reach_rad_s)
-        share_claimed = min(1.0, CLAIMED / max(1, untested))
+        share_claimed = min(1.0, CLAIMED / max(1, self._untested))
 
         def price_s(one: ToneChoice) -> float:
             most_rad_s = reach_rad_s * (1 + ROUNDING)
