@@ -23,8 +23,10 @@ class AdaptiveSettings:
     """Share of a robot's settling time for which its tests wait, since what still rings then is
     estimated along with the tones."""
     settle_longest: float = 0.08
-    """Most that tests of one axis as long as the first one wait, in periods of the band's lower
-    end."""
+    settle_periods: float = 4.0
+    """Most that tests of one axis as long as the first one wait, in periods of the band's lower end
+    and in periods of its upper end, whichever is longer: in narrow bands, the former would leave
+    even what decays soon."""
     lowest: float = 2.5
     """Highest that the lowest tone of a claim may be, as a multiple of the band's lower end; three
     for a first test that begins with its third harmonic."""

@@ -71,14 +71,14 @@ class Looks:
         self, plan: StudyPlan, settings: AdaptiveSettings, robots: Mapping[str, AxesKnowledge]
     ) -> None:
         self._plan, self._settings, self._robots = plan, settings, robots
+        self._untested = sum(bool(robot.unseen) for robot in robots.values())
+        """Number of robots that lacked tests when the study began."""
         specs = [robot.spec for robot in robots.values()]
         alone = [
             place
             for place, axis in enumerate(plan.axes)
             if not all(spec.axis(axis).together for spec in specs)
         ]
-        self._untested = sum(bool(robot.unseen) for robot in robots.values())
-        """Number of robots that lacked tests when the study began."""
         together = tuple(place for place in range(len(plan.axes)) if place not in alone)
         groups = [group for group in (together, *((place,) for place in alone)) if group]
         self._alone = [plan.axes[place] for place in alone]
@@ -318,11 +318,13 @@ class Looks:
         of a target that alone lacks one is compared with all that is stored.
         """
         settings, settling_s = self._settings, self._robots[name].settling_time_s
+        low, high = self._plan.band_rad_s
         wait_s = settings.settle_share * settling_s
         long_s = min(settings.share_of_settling * settling_s, self._longest_s)
         if self._untested == 1 or choice.measure_s < long_s or len(choice.axes) > 1:
             return wait_s
-        return min(wait_s, settings.settle_longest * 2 * math.pi / self._plan.band_rad_s[0])
+        most = max(settings.settle_longest / low, settings.settle_periods / high)
+        return min(wait_s, 2 * math.pi * most)
 
     def _known(self, name: str, place: int) -> RobotKnowledge:
         return self._robots[name].axes[self._plan.axes[place]]

@@ -187,6 +187,14 @@ def test_of_the_slowest_robots_long_tests_wait_less_than_short_ones() -> None:
     assert test.settle_s == pytest.approx(settings.settle_share * settling_s)
 
 
+def test_in_a_narrow_band_a_test_waits_for_what_decays_soon() -> None:
+    slow = SPEC.model_copy(update={"settling_time_s": 30.0, "duration_max_s": 3600.0})
+    looks, _ = looks_of(slow, (2.0, 5.4))
+    test = looks.excitation("robot", looks.first["robot"])
+    periods = AdaptiveSettings().settle_periods
+    assert test.settle_s == pytest.approx(periods * 2 * math.pi / 5.4)
+
+
 def test_of_a_target_that_alone_lacks_tests_all_of_its_settling_counts() -> None:
     settings = AdaptiveSettings()
     slow = SPEC.model_copy(update={"settling_time_s": 150.0, "duration_max_s": 3600.0})
