@@ -175,7 +175,8 @@ class Surrogates:
             f"{CAMERA}/names",
             labels_2d(
                 np.column_stack([np.full(len(rows), WIDTH + 20.0), heights]),
-                [f"{row.robot}  {row.psi:.3f}{row.on_axis}" for row in rows],
+                # The axis, which the ranking names, would reach beyond the view.
+                [f"{row.robot}  {row.psi:.3f}" for row in rows],
                 colours,
             ),
         )
