@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
@@ -209,11 +210,15 @@ def drawn_of(
 
 
 def _by_tone(responses: Sequence[FrequencyResponse], axis: str) -> dict[float, complex]:
-    """Return the latest response of an axis to its own reference, by frequency in rad/s."""
+    """Return the latest response of an axis to its own reference, by frequency in rad/s.
+
+    Tones at which nothing could be estimated are left out.
+    """
     own = [one.own_entries.get(axis) if one.own_entries else one for one in responses]
     return {
         omega: z
         for one in own
         if one is not None
         for omega, z in zip(one.omega_rad_s.tolist(), one.z.tolist(), strict=True)
+        if cmath.isfinite(z)
     }

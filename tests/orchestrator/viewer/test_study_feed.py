@@ -220,6 +220,12 @@ def test_where_the_target_rests_the_tones_of_another_robot_are_drawn() -> None:
     assert z == {"target": {2.0: 1.0}, "source-1": {2.0: 0.9, 3.0: 0.8}}
 
 
+def test_tones_at_which_nothing_could_be_estimated_are_not_drawn() -> None:
+    known = {"target": [response(w2=1.0, w4=complex("nan"))], "source-1": [response(w2=0.9)]}
+    omega, z = drawn_of(report(responses={"target": known["target"][0]}, known=known), PLAN)
+    assert (omega, z) == ((2.0,), {"target": {2.0: 1.0}, "source-1": {2.0: 0.9}})
+
+
 def test_responses_of_other_axes_than_the_first_are_not_drawn() -> None:
     other = replace(response(w2=0.3), axis="y")
     known = {"target": [response(w2=1.0), other], "source-1": [other]}
