@@ -17,7 +17,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +26,11 @@ from benchmarks.selection import CLAIM, RIGHT_BELOW
 from benchmarks.selection_families import FAMILIES
 from benchmarks.selection_fleets import NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import ADAPTIVE_ROUNDS, follow
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
-from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.orchestrator.study.looks import Looks
 from nufleet.shared.errors import InvalidInputError
 
 
@@ -69,17 +70,19 @@ def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int
     """Select for one new target."""
     rng = np.random.default_rng([seed, zlib.crc32(family.encode()), sources, number])
     fleet = random_fleet(family, sources, noise_m, rng)
-    settings = AdaptiveSettings()
+    specs = {name: robot.spec for name, robot in fleet.robots.items()}
+    all_new = StudyPlan("target", tuple(fleet.sources), fleet.band_rad_s, ADAPTIVE_ROUNDS, "x")
+    nothing = {
+        name: AxesKnowledge(name, spec, fleet.band_rad_s[1], all_new.axes)
+        for name, spec in specs.items()
+    }
+    looks = Looks(all_new, AdaptiveSettings(), nothing)
     stored = {}
     for name, robot in fleet.sources.items():
-        test = first_look(
-            fleet.band_rad_s, robot.spec, settings.first_periods, settings.share_of_settling
-        )
-        response, _ = robot.test(test.excitation("x"))
+        response, _ = robot.test(looks.excitation(name, looks.first[name]))
         if response.quality.usable:
             stored[name] = [response]
-    specs = {name: robot.spec for name, robot in fleet.robots.items()}
-    plan = StudyPlan("target", tuple(stored), fleet.band_rad_s, ADAPTIVE_ROUNDS, "x")
+    plan = replace(all_new, sources=tuple(stored))
     before_mib, before_s = _peak_mib(), time.process_time()
     study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=tuple(stored))
     began_s = time.process_time() - before_s

@@ -205,11 +205,11 @@ class AdaptiveStudy:
             following = self._next_tests.choose(
                 compared, leader, value, hopeless=hopeless, absent=self._grounded
             )
-            if following.tests:
-                return _Verdict(confidence, following.tests, "what is contested")
             if following.missing:
                 why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
                 return _Verdict(confidence, why=why)
+            if following.tests:
+                return _Verdict(confidence, following.tests, "what is contested")
             contenders = [n for n in (self._plan.target, leader) if n not in self._grounded]
             if looks := self._looks.due(contenders):
                 return _Verdict(confidence, looks, "what another amplitude does")
@@ -269,13 +269,16 @@ class AdaptiveStudy:
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
         wide = f"ψ* of {leader} is known to {high - low:.2g}, and {wanted:g} is wanted"
-        tests: Mapping[str, ToneChoice] = {}
-        if rounds_left and not hidden:
-            value = narrowing(belief, leader)
-            tests = self._next_tests.choose(
-                compared, leader, value, hopeless=hopeless, absent=self._grounded
-            ).tests
-        return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
+        if not rounds_left or hidden:
+            return _Verdict(confidence, why=f"{claim}; {wide}")
+        value = narrowing(belief, leader)
+        following = self._next_tests.choose(
+            compared, leader, value, hopeless=hopeless, absent=self._grounded
+        )
+        if following.tests:
+            return _Verdict(confidence, following.tests, wide)
+        again = f"; to narrow it, test again: {', '.join(following.missing)}"
+        return _Verdict(confidence, why=f"{claim}; {wide}{again if following.missing else ''}")
 
     def _time_left(self, belief: SelectionBelief, leader: str) -> str:
         """Return in words what more tests like those that were played would have to cost."""

@@ -42,14 +42,15 @@ class AdaptiveSettings:
     """Number of rivals, the most probable winners, that are considered for tests in a round."""
     worth: float = 0.05
     """Least decrease of the probability of a wrong selection, as a share of it, for which robots
-    are tested again while something is doubted that tests do not tell."""
+    are tested again while something is doubted that tests do not tell, or others are absent."""
     compared: int = 32
     """Number of sources, the closest at their tones, that are compared at every frequency; beyond
     it, only those are that their tones leave a chance."""
     compared_max: int = 160
     """Largest number of them. Others are held to be as close as their tones allow."""
     together: float = 0.5
-    """Share of the best gain per second that another robot's test needs to join the round."""
+    """Share of the best gain per second that another robot's test needs to join the round. If an
+    absent robot's test would gain the most, the study ends where no other reaches this share."""
     simulated_cost: float = 0.01
     """Cost of a simulated robot's time, relative to that of a real one."""
     flight_error_max: float = 0.05

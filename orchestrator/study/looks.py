@@ -314,14 +314,13 @@ class Looks:
 
         In a test that measures for long, what still rings is told from the tones. In a shorter one
         it would change them, and pass for what another amplitude does. In a test of several axes,
-        it is told from distortion by what does not repeat, for which the wait is needed. The test
-        of a target that alone lacks one is compared with all that is stored.
+        it is told from distortion by what does not repeat, for which the wait is needed.
         """
         settings, settling_s = self._settings, self._robots[name].settling_time_s
         low, high = self._plan.band_rad_s
         wait_s = settings.settle_share * settling_s
         long_s = min(settings.share_of_settling * settling_s, self._longest_s)
-        if self._untested == 1 or choice.measure_s < long_s or len(choice.axes) > 1:
+        if choice.measure_s < long_s or len(choice.axes) > 1:
             return wait_s
         most = max(settings.settle_longest / low, settings.settle_periods / high)
         return min(wait_s, 2 * math.pi * most)
@@ -369,12 +368,7 @@ class Looks:
 
     @property
     def _longest_s(self) -> float:
-        """Most that a settling time requires of a first test, in s, where several robots play one.
-
-        What a single test of a target alone leaves open is looked at again and again.
-        """
-        if self._untested == 1:
-            return math.inf
+        """Most that a settling time requires of a first test, in s."""
         return self._settings.first_longest * 2 * math.pi / self._plan.band_rad_s[0]
 
     def _first_look(

@@ -55,9 +55,10 @@ class NextRound:
     """Tests that are worth their time, and robots whose tests would be if they were there."""
 
     tests: Mapping[str, ToneChoice]
-    """Test of each robot."""
+    """Test of each robot that is there."""
     missing: tuple[str, ...]
-    """Absent robots whose tests would tell more than any of those."""
+    """Absent robots, if what is stored limits the answer: a test of one of them would tell more per
+    second than any of those, none of which is competitive with it."""
 
 
 class NextTests:
@@ -113,27 +114,26 @@ class NextTests:
         contenders = (self._target, leader, *rivals)
         # A claim needs the lowest looks of the target and of the source that it names.
         needed = dict(zip(belief.sources, chances.tolist(), strict=True)) | {self._target: 1.0}
-        # Where something is doubted that no test tells, tests that seem worth nothing are so.
+        # Where something is doubted that no test tells, tests that seem worth nothing are so. Where
+        # robots are absent, the study can end and name them.
         doubted = any(self._robots[name].doubted for name in contenders)
-        least = self._settings.worth if doubted else 0.0
-        best = {
-            name: one
-            for name in contenders
-            if (one := self._best_test(name, draws[name], centres_rad_s, value, needed[name]))
-            and one.gain >= least
-        }
-        there = {name: one for name, one in best.items() if name not in absent}
-        missing = tuple(
-            name
-            for name, one in best.items()
-            if name in absent and one.gain >= self._settings.worth
-        )
-        worth = max((one.gain for one in there.values()), default=0.0)
-        if missing and worth < self._settings.worth:
-            return NextRound({}, missing)
-        enough = self._settings.together * max((one.rate for one in there.values()), default=0.0)
+        least = self._settings.worth if doubted or absent else 0.0
+        there: dict[str, _Candidate] = {}
+        away: dict[str, _Candidate] = {}
+        for name in contenders:
+            one = self._best_test(name, draws[name], centres_rad_s, value, needed[name])
+            if one is not None and one.gain >= (GAIN_MIN if name in absent else least):
+                (away if name in absent else there)[name] = one
+        enough, enough_away = self._enough(there), self._enough(away)
         tests = {name: one.choice for name, one in there.items() if one.rate >= enough}
-        return NextRound(tests, () if tests else missing)
+        limited = all(one.rate < enough_away for one in there.values())
+        missing = [name for name, one in away.items() if limited and one.rate >= enough_away]
+        return NextRound(tests, tuple(missing))
+
+    def _enough(self, candidates: Mapping[str, _Candidate]) -> float:
+        """Return the value per second from which a test is competitive with the best of these."""
+        most = max((one.rate for one in candidates.values()), default=0.0)
+        return self._settings.together * most
 
     def _best_test(
         self,

@@ -137,6 +137,39 @@ def test_sources_with_stored_responses_stay_on_the_ground() -> None:
     assert any(finding.startswith(unseen) for finding in reports[-1].findings)
 
 
+@pytest.mark.parametrize(
+    ("deviation_stored", "deviation_target", "limited"), [(0.2, 0.02, True), (0.005, 0.1, False)]
+)
+def test_a_target_flies_again_unless_what_is_stored_limits_the_answer(
+    deviation_stored: float, deviation_target: float, limited: bool
+) -> None:
+    rng = np.random.default_rng(2)
+    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.6)}
+    test = first_look(BAND, SPEC, 11, 0.5).excitation("x")
+    stored = {name: [fleet[name].answer(test, deviation_stored, rng)] for name in ("one", "other")}
+    specs = dict.fromkeys(fleet, SPEC)
+    study = AdaptiveStudy(plan_of(fleet), specs, rng, stored=stored, absent=tuple(stored))
+    questions, reports = to_the_end(study, fleet, deviation_target)
+    stopped = reports[-1].stopped_because
+    assert stopped is not None
+    assert ("to settle it, test again: " in stopped) is limited
+    assert (len(questions) == 1) is limited, f"{len(questions)} tests; {stopped}"
+
+
+def test_what_would_narrow_a_distance_more_than_what_is_stored_allows_is_named() -> None:
+    rng = np.random.default_rng(0)
+    test = first_look(BAND, SPEC, 11, 0.5).excitation("x")
+    stored = {name: [FLEET[name].answer(test, 0.02, rng)] for name in SOURCES}
+    plan = replace(plan_of(FLEET), precision=0.002)
+    specs = dict.fromkeys(FLEET, SPEC)
+    study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=SOURCES)
+    questions, reports = to_the_end(study, FLEET, 0.005)
+    stopped = reports[-1].stopped_because
+    assert stopped is not None
+    assert stopped.endswith("and 0.002 is wanted; to narrow it, test again: near")
+    assert len(questions) < plan.iterations
+
+
 def test_sources_that_are_the_same_end_the_study_by_the_gap() -> None:
     fleet = {"target": Loop(3.0), "one": Loop(3.6), "other": Loop(3.6)}
     _, reports = to_the_end(begin(fleet), fleet, 0.002)

@@ -195,16 +195,6 @@ def test_in_a_narrow_band_a_test_waits_for_what_decays_soon() -> None:
     assert test.settle_s == pytest.approx(periods * 2 * math.pi / 5.4)
 
 
-def test_of_a_target_that_alone_lacks_tests_all_of_its_settling_counts() -> None:
-    settings = AdaptiveSettings()
-    slow = SPEC.model_copy(update={"settling_time_s": 150.0, "duration_max_s": 3600.0})
-    looks, _ = looks_of(slow, alone=True)
-    first = looks.first["robot"]
-    assert first.measure_s >= settings.share_of_settling * slow.settling_time_s
-    test = looks.excitation("robot", first)
-    assert test.settle_s == pytest.approx(settings.settle_share * slow.settling_time_s)
-
-
 def test_the_slowest_robots_are_waited_for_in_tests_of_several_axes() -> None:
     slow = SPEC.model_copy(update={"settling_time_s": 400.0, "duration_max_s": 3600.0})
     both = tuple(slow.axes[0].model_copy(update={"name": axis}) for axis in "xy")
