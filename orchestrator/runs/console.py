@@ -33,10 +33,11 @@ class ConsoleObserver:
         tones = ", ".join(f"{omega:.3f}" for omega in played)
         if len(played) > 3:
             tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
+        count = len(question.robots)
+        robots = "1 robot is" if count == 1 else f"{count} robots are"
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
-            f"{len(question.robots)} robots are asked to play {tones} rad/s{self._motion(question)}"
-            f"{_price(question)}"
+            f"{robots} asked to play {tones} rad/s{self._motion(question)}{_price(question)}"
         )
 
     def _motion(self, question: Question) -> str:

@@ -36,9 +36,12 @@ def expected_gain(
     leads = _leads(psi_star, leader)
     if not len(leads):
         return 0.0
+    mean, deviation = leads.mean(axis=1), leads.std(axis=1)
     share = _explained_share(leads, z, variance)
-    after = _after(leads.mean(axis=1), leads.std(axis=1), share, epsilon)
-    return expected_errors(psi_star, leader, epsilon) - float(np.sum(after))
+    # The selected source need not have the least mean. What selecting another one would gain right
+    # away is no merit of a test.
+    before = _after(mean, deviation, np.zeros_like(share), epsilon)
+    return float(np.sum(before - _after(mean, deviation, share, epsilon)))
 
 
 def expected_errors(psi_star: FloatArray, leader: int, epsilon: float) -> float:

@@ -21,14 +21,15 @@ from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 
 
-def test_a_round_says_how_long_and_how_far_its_robots_move() -> None:
+@pytest.mark.parametrize(("names", "robots"), [("a", "1 robot is"), ("ab", "2 robots are")])
+def test_a_round_says_how_long_and_how_far_its_robots_move(names: str, robots: str) -> None:
     console = Console(file=io.StringIO(), width=200)
     test = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),))
-    question = Question(1, {"a": test, "b": test})
-    ConsoleObserver(console, 7, {"a": SPEC, "b": SPEC}).asked(question)
+    question = Question(1, dict.fromkeys(names, test))
+    ConsoleObserver(console, 7, dict.fromkeys(names, SPEC)).asked(question)
     assert isinstance(console.file, io.StringIO)
     within = f"{duration_s(test, SPEC):.0f} s long and within ±{SPEC.axes[0].amplitude_max:g} m"
-    assert f"2 robots are asked to play 2.000 rad/s, {within}" in console.file.getvalue()
+    assert f"{robots} asked to play 2.000 rad/s, {within}" in console.file.getvalue()
 
 
 def test_a_narrow_terminal_costs_no_digits_and_a_file_has_one_line_per_row(
