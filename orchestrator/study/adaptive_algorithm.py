@@ -93,6 +93,8 @@ class AdaptiveStudy:
         }
         self._purpose = "a first look at the whole band"
         self._asked = 0
+        # Probability of a wrong selection before the latest tests of what is contested.
+        self._wrong_before = math.inf
         self._open: Question | None = None
 
     @property
@@ -202,13 +204,15 @@ class AdaptiveStudy:
                     confidence, why=f"{used}; {chance}{self._time_left(belief, leader)}"
                 )
             value = settling(belief, leader, self._settings.epsilon)
+            told = 1 - confidence <= (1 - self._settings.worth) * self._wrong_before
             following = self._next_tests.choose(
-                compared, leader, value, hopeless=hopeless, absent=self._grounded
+                compared, leader, value, hopeless=hopeless, absent=self._grounded, told=told
             )
             if following.missing:
                 why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
                 return _Verdict(confidence, why=why)
             if following.tests:
+                self._wrong_before = 1 - confidence
                 return _Verdict(confidence, following.tests, "what is contested")
             contenders = [n for n in (self._plan.target, leader) if n not in self._grounded]
             if looks := self._looks.due(contenders):

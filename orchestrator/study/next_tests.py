@@ -92,6 +92,7 @@ class NextTests:
         *,
         hopeless: Collection[str],
         absent: Collection[str],
+        told: bool = True,
     ) -> NextRound:
         """Return each robot's best test, if its value per second is competitive.
 
@@ -101,6 +102,7 @@ class NextTests:
             value: Value of a test.
             hopeless: Sources that cannot win.
             absent: Robots that cannot be tested.
+            told: Whether the tests that were chosen before told what they were played for.
         """
         belief, draws = compared.belief, compared.draws
         chances = belief.probability_best()
@@ -114,15 +116,18 @@ class NextTests:
         contenders = (self._target, leader, *rivals)
         # A claim needs the lowest looks of the target and of the source that it names.
         needed = dict(zip(belief.sources, chances.tolist(), strict=True)) | {self._target: 1.0}
-        # Where something is doubted that no test tells, tests that seem worth nothing are so. Where
-        # robots are absent, the study can end and name them.
+        # Where something is doubted that no test tells, tests that seem worth nothing are so, and
+        # others may be worth less than they seem. Where robots are absent, the study can name them.
         doubted = any(self._robots[name].doubted for name in contenders)
+        if doubted and not told:
+            return NextRound({}, ())
         least = self._settings.worth if doubted or absent else 0.0
+        least_away = self._settings.worth if doubted else GAIN_MIN
         there: dict[str, _Candidate] = {}
         away: dict[str, _Candidate] = {}
         for name in contenders:
             one = self._best_test(name, draws[name], centres_rad_s, value, needed[name])
-            if one is not None and one.gain >= (GAIN_MIN if name in absent else least):
+            if one is not None and one.gain >= (least_away if name in absent else least):
                 (away if name in absent else there)[name] = one
         enough, enough_away = self._enough(there), self._enough(away)
         tests = {name: one.choice for name, one in there.items() if one.rate >= enough}

@@ -200,6 +200,15 @@ def test_a_doubt_that_no_test_tells_ends_the_study_before_its_rounds_are_used() 
     assert len(asked) < 8
 
 
+def test_where_something_is_doubted_tests_that_told_nothing_are_not_repeated() -> None:
+    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.7)}
+    report, asked = last_of(fleet, weaker={"target": -0.3})
+    assert (report.confidence or 0.0) < 0.95
+    assert report.stopped_because is not None
+    assert report.stopped_because.startswith("no further test would help")
+    assert len(asked) == 3
+
+
 def test_a_rival_is_not_beaten_by_what_nothing_measured_between_its_tones() -> None:
     report, asked = last_of(MISSTATED, ringing=True)
     assert report.selected == "near"
