@@ -61,9 +61,10 @@ that of distortion from which a finding says so."""
 AT_ONCE = 20.0
 """Decay rate from which a transient is gone at once, per length of the record."""
 
-SIZE = 0.3
-"""Prior standard deviation of what rings at the beginning, as a multiple of the deviation of
-the output."""
+SIZES = np.array([0.5, 0.15])
+"""Prior standard deviations of what rings at the beginning, as multiples of the deviation of the
+output; each is as probable as the others. With the largest alone, a transient that is hardly larger
+than the noise would be held to be none."""
 
 BENT = 0.5
 DISTORTIONS = (0.1, 0.03, 0.01, 0.003, 0.001)
@@ -215,7 +216,7 @@ def hidden_transient(
         if len(changed) >= DIFFERENCES_MIN:
             along = np.tensordot(changed, parts, 1) / (2 * noise)
             products = _power(parts) / (2 * noise)
-            apart = _Weighed.of(along, products, (SIZE * size) ** 2, grid.log_prior)
+            apart = _Weighed.of(along, products, _prior(size), grid.log_prior)
     return _believed(grid, [straight, *bent], apart)
 
 
@@ -232,7 +233,7 @@ class _Weighed:
 
     @staticmethod
     def of(
-        along: FloatArray, products: FloatArray, prior: FloatArray | float, log_prior: FloatArray
+        along: FloatArray, products: FloatArray, prior: FloatArray, log_prior: FloatArray
     ) -> _Weighed:
         """Weigh parts by what they explain.
 
@@ -240,20 +241,26 @@ class _Weighed:
             along: Products of the record with each cosine and each sine, shape (2, parts), as
                 multiples of the variance of all else, like the following.
             products: Products of the two with themselves and each other, shape (3, parts).
-            prior: Prior variance of both amplitudes of each, shape (parts,) or of all.
+            prior: Prior variances of both amplitudes of each, equally probable ones, shape
+                (variances, parts), or those of all, shape (variances, 1).
             log_prior: Logarithm of the weight of each, if it explained nothing, and of none, shape
                 (parts + 1,).
         """
-        cc, cs, ss = prior * products
+        cc, cs, ss = prior * products[:, None]
         # The posterior covariance of both amplitudes is the inverse of 1/prior and the products.
         det = (1 + cc) * (1 + ss) - cs**2
         share = prior / det
         xx, xy, yy = (1 + ss) * share, -cs * share, (1 + cc) * share
         u, v = along
         x, y = xx * u + xy * v, xy * u + yy * v
+        explained = 0.5 * (u * x + v * y - np.log(det))
+        most = explained.max(axis=0)
+        of_size = np.exp(explained - most)
+        total = of_size.sum(axis=0)
         log_weight = log_prior.copy()
-        log_weight[:-1] += 0.5 * (u * x + v * y - np.log(det))
-        return _Weighed(log_weight, np.stack([xx + x**2, xy + x * y, yy + y**2]))
+        log_weight[:-1] += most + np.log(total / len(prior))
+        moments = np.stack([xx + x**2, xy + x * y, yy + y**2])
+        return _Weighed(log_weight, (moments * of_size).sum(axis=1) / total)
 
     @property
     def shares(self) -> FloatArray:
@@ -458,7 +465,7 @@ class _Grid:
         none = math.log(1 - BENT) - 0.5 * float(heard @ heard) / noise
         along = np.tensordot(heard / noise, self.parts, 1)
         log_prior = self.log_prior + none - 0.5 * len(heard) * math.log(noise)
-        return _Weighed.of(along, self.power / noise, (SIZE * size) ** 2, log_prior)
+        return _Weighed.of(along, self.power / noise, _prior(size), log_prior)
 
     def noise(self, heard: FloatArray, energy: float, white: float) -> float | None:
         """Return the variance of the noise in what the columns leave; None if it is not white.
@@ -560,11 +567,16 @@ class _Bent:
         variance = noise + line**2 * self.lines
         none = math.log(BENT / len(DISTORTIONS))
         none -= 0.5 * float((np.log(variance) + heard**2 / variance).sum())
-        prior = np.full(self.parts.shape[2], (SIZE * size) ** 2)
-        prior[self.ringing :] = (LARGER * line) ** 2
+        prior = np.tile(_prior(size), self.parts.shape[2])
+        prior[:, self.ringing :] = (LARGER * line) ** 2
         along = np.tensordot(heard / variance, self.parts, 1)
         products = np.tensordot(1 / variance, self.products, 1)
         return _Weighed.of(along, products, prior, self.log_prior + none)
+
+
+def _prior(size: float) -> FloatArray:
+    """Return prior variances of what rings in an output of this deviation, shape (variances, 1)."""
+    return np.asarray((SIZES * size) ** 2)[:, None]
 
 
 def _power(parts: FloatArray) -> FloatArray:

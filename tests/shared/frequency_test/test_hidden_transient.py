@@ -15,7 +15,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.frequency_response import estimate_frequency_response
 from nufleet.shared.frequency_test.hidden_transient import (
     EXPECTED,
-    SIZE,
+    SIZES,
     _Grid,
     hidden_transient,
     may_ring,
@@ -105,7 +105,7 @@ def test_the_variance_is_the_mean_square_by_which_transients_as_expected_move_th
         steady = tones(rng)
         part = rng.choice(grid.ringing, p=prior / prior.sum())
         turning = np.exp((1j * grid.omega_rad_s[part] - grid.decay_1_s[part]) * times_s)
-        size = SIZE * float(np.std(steady)) * (rng.random() < EXPECTED)
+        size = rng.choice(SIZES) * float(np.std(steady)) * (rng.random() < EXPECTED)
         drawn = size * rng.standard_normal(2)
         output = steady + drawn[0] * turning.real + drawn[1] * turning.imag
         noisy = output + NOISE * rng.standard_normal(SAMPLES)
