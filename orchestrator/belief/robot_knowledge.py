@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import chdtri
 
 from nufleet.orchestrator.belief.amplitude_dependence import (
     AmplitudeDependence,
@@ -37,10 +38,12 @@ FLIGHT_TEST_STD = 0.02
 
 RETRY = 0.5
 HIDES = 0.08
+UNLIKELY = 0.01
 ELSEWHERE = 0.5
 """Measuring time of a test relative to that of its repetition at fewer tones; least standard
-deviation of estimates with which noise hides a whole test; and that of the response to such a test
-which noise did not hide, as a multiple of the response to its repetition."""
+deviation of estimates with which noise hides a whole test; accepted probability that noise is this
+large where it is held to be smaller; and standard deviation of the response to a test which noise
+did not hide, as a multiple of the response to its repetition."""
 
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
@@ -170,8 +173,10 @@ class RobotKnowledge:
         """
         if len(played_rad_s) >= len(asked_rad_s):
             return
-        noise = self.expected_variance(asked_rad_s, RETRY)
-        if float(np.median(noise)) > HIDES**2:
+        noise = float(np.median(self.expected_variance(asked_rad_s, RETRY)))
+        # It is estimated from few segments, and may well be larger.
+        degrees = float(self.responses[-1].degrees_of_freedom.sum())
+        if noise * degrees > HIDES**2 * chdtri(degrees, 1 - UNLIKELY):
             return
         self._find(
             f"it answers to {len(asked_rad_s)} tones at once as if most of it were noise, and not "

@@ -33,6 +33,9 @@ from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 
+NOT_THERE = "it is not there"
+"""Why a source that a study began without cannot be tested."""
+
 
 @dataclass(frozen=True)
 class _Verdict:
@@ -81,7 +84,7 @@ class AdaptiveStudy:
             for response in known:
                 self._robots[name].learn(response, rng)
         self._dropped: dict[str, str] = {}
-        self._grounded = dict.fromkeys(absent, "it is not there")
+        self._grounded = dict.fromkeys(absent, NOT_THERE)
         self._share_doubt()
         self._looks = Looks(plan, self._settings, self._robots)
         self._comparison = Comparison(plan, self._settings, self._robots, rng)
@@ -209,8 +212,10 @@ class AdaptiveStudy:
                 compared, leader, value, hopeless=hopeless, absent=self._grounded, told=told
             )
             if following.missing:
-                why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
-                return _Verdict(confidence, why=why)
+                why = f"{chance}; to settle it, test again: {self._named(following.missing)}"
+                failed = any(self._grounded[name] != NOT_THERE for name in following.missing)
+                more = self._time_left(belief, leader) if failed else ""
+                return _Verdict(confidence, why=why + more)
             if following.tests:
                 self._wrong_before = 1 - confidence
                 return _Verdict(confidence, following.tests, "what is contested")
@@ -281,8 +286,16 @@ class AdaptiveStudy:
         )
         if following.tests:
             return _Verdict(confidence, following.tests, wide)
-        again = f"; to narrow it, test again: {', '.join(following.missing)}"
+        again = f"; to narrow it, test again: {self._named(following.missing)}"
         return _Verdict(confidence, why=f"{claim}; {wide}{again if following.missing else ''}")
+
+    def _named(self, grounded: Sequence[str]) -> str:
+        """Return robots that cannot be tested in words, with why where they were there."""
+        reasons = {name: self._grounded[name] for name in grounded}
+        return ", ".join(
+            name if reason == NOT_THERE else f"{name} ({reason})"
+            for name, reason in reasons.items()
+        )
 
     def _time_left(self, belief: SelectionBelief, leader: str) -> str:
         """Return in words what more tests like those that were played would have to cost."""
@@ -293,7 +306,8 @@ class AdaptiveStudy:
         more_s = (times - 1.0) * self._looks.asked_s
         if not math.isfinite(more_s):
             return "; more tests may well favour another source"
-        return f"; with as much noise, about {more_s:.2g} robot-seconds more would settle it"
+        text = "with as much noise, about {:.0f} robot-seconds more would settle it"
+        return "; " + text.format(float(f"{more_s:.2g}"))
 
     @property
     def _doubtful(self) -> float:

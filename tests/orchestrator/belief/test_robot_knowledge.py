@@ -92,6 +92,11 @@ def test_a_robot_that_fails_at_many_tones_and_is_quiet_at_fewer_is_hardly_known(
     assert "--amplitude" in finding
 
 
+def test_noise_that_just_hides_many_tones_is_not_taken_for_actuators_at_their_limits() -> None:
+    known = [after_a_repetition(0.045, np.random.default_rng(seed))[0] for seed in range(60)]
+    assert sum(bool(one.findings) for one in known) <= 2
+
+
 def test_tests_of_several_axes_tell_what_each_was_asked_for() -> None:
     rng = np.random.default_rng(0)
     asked = first_look(BAND, SPEC, 11, 0.7).excitation("x")

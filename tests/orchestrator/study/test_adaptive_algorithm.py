@@ -191,6 +191,21 @@ def test_it_does_not_claim_what_noise_hides() -> None:
     assert "robot-seconds more would settle it" in last.stopped_because
 
 
+def test_where_noise_ends_the_tests_of_sources_it_says_why_and_how_long_it_would_take() -> None:
+    fleet = {"target": Loop(3.0), "one": Loop(3.5), "other": Loop(2.6)}
+    study, rng = begin(fleet), np.random.default_rng(0)
+    while (question := study.ask()) is not None:
+        given = answers(fleet, question, 0.3, rng)
+        lost = [name for name in given if name != "target" and question.iteration > 1]
+        kept = {name: one for name, one in given.items() if name not in lost}
+        last = study.tell(kept, dict.fromkeys(lost, "the noise leaves z unknown"))
+    assert last.confidence is not None
+    assert last.confidence < 0.95
+    assert last.stopped_because is not None
+    assert "(the noise leaves z unknown); with as much noise, about" in last.stopped_because
+    assert "robot-seconds more would settle it" in last.stopped_because
+
+
 def test_asking_twice_is_one_question() -> None:
     study = begin(FLEET)
     assert study.ask() is study.ask()
