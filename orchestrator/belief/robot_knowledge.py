@@ -38,11 +38,11 @@ FLIGHT_TEST_STD = 0.02
 
 RETRY = 0.5
 HIDES = 0.08
-UNLIKELY = 0.01
+UNLIKELY = 0.05
 ELSEWHERE = 0.5
 """Measuring time of a test relative to that of its repetition at fewer tones; least standard
-deviation of estimates with which noise hides a whole test; accepted probability that noise is this
-large where it is held to be smaller; and standard deviation of the response to a test which noise
+deviation of estimates with which noise hides a whole test; probability of an estimate of the noise
+so low that it cannot have hidden one; and standard deviation of the response to a test which noise
 did not hide, as a multiple of the response to its repetition."""
 
 DEGREES_OF_A_VARIANCE = 2.0

@@ -61,7 +61,7 @@ that of distortion from which a finding says so."""
 AT_ONCE = 20.0
 """Decay rate from which a transient is gone at once, per length of the record."""
 
-SIZES = np.array([0.5, 0.15])
+SIZES = (0.5, 0.15)
 """Prior standard deviations of what rings at the beginning, as multiples of the deviation of the
 output; each is as probable as the others. With the largest alone, a transient that is hardly larger
 than the noise would be held to be none."""
@@ -576,7 +576,7 @@ class _Bent:
 
 def _prior(size: float) -> FloatArray:
     """Return prior variances of what rings in an output of this deviation, shape (variances, 1)."""
-    return np.asarray((SIZES * size) ** 2)[:, None]
+    return np.square(size * np.array(SIZES))[:, None]
 
 
 def _power(parts: FloatArray) -> FloatArray:
