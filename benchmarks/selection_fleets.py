@@ -134,16 +134,17 @@ def random_fleet(name: str, sources: int, noise_m: float, rng: np.random.Generat
 
     The true response of a nonlinear robot is the one to many tones at once, over the whole band and
     at the amplitude at which a study tests it: that of its linear approximation in such motions.
-    There is none of a robot that runs away in them, as one with a slow actuator may: another fleet
+    There is none of a robot that runs away in them, as one with a slow actuator may: another robot
     is drawn instead.
     """
     family = FAMILIES[name]
     band = family.band_rad_s
-    while True:
-        robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
-        omega, z = true_responses(robots, band)
-        if np.abs(z).max() < RUNAWAY_GAIN:
-            break
+    robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
+    omega, z = true_responses(robots, band)
+    for n in range(len(robots)):
+        while not np.abs(z[n]).max() < RUNAWAY_GAIN:  # not a number of one that overflows, either
+            robots[n] = TestedRobot(family.draw(rng), noise_m, rng, family)
+            z[n] = true_responses([robots[n]], band)[1][0]
     named = {f"source-{n}": robot for n, robot in enumerate(robots[1:], start=1)}
     responses = dict(zip(("target", *named), z, strict=True))
     psi_star = {

@@ -13,7 +13,12 @@ from benchmarks.selection_families import (
     LinearLoop,
     Mode,
 )
-from benchmarks.selection_fleets import TestedRobot, random_fleet, true_responses
+from benchmarks.selection_fleets import (
+    RUNAWAY_GAIN,
+    TestedRobot,
+    random_fleet,
+    true_responses,
+)
 from benchmarks.selection_oracle import oracle_time_s
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.frequency_test.nonlinearity import Nonlinearity, nonlinearity_of
@@ -40,6 +45,18 @@ def test_fleets_of_every_family_can_be_tested(family: str) -> None:
         response, duration_s = robot.test(choice.excitation("x"))
         assert response.quality.usable, str(response.quality)
         assert duration_s >= choice.duration_s(robot.spec) * (1 - 1e-9)
+
+
+def test_in_place_of_a_robot_that_runs_away_another_is_drawn() -> None:
+    family, rng = FAMILIES["rate-limited"], np.random.default_rng(0)
+    drawn = [TestedRobot(family.draw(rng), NOISE_M, rng, family) for _ in range(5)]
+    _, z = true_responses(drawn, family.band_rad_s)
+    ran_away = np.abs(z).max(axis=1) > RUNAWAY_GAIN
+    assert ran_away.sum() == 1
+    fleet = random_fleet("rate-limited", 4, NOISE_M, np.random.default_rng(0))
+    same = [one.loop == kept.loop for one, kept in zip(drawn, fleet.robots.values(), strict=True)]
+    assert same == (~ran_away).tolist()
+    assert all(np.abs(one).max() < RUNAWAY_GAIN for one in fleet.z.values())
 
 
 def test_estimates_scatter_about_the_truth_as_they_say() -> None:
