@@ -38,7 +38,7 @@ def answer(
 ) -> FrequencyResponse:
     """Return what a test gives of loops, each of which adds a share of itself to the others.
 
-    Errors of the outputs at a tone are independent, or have a correlation of shape (axes, axes).
+    The axis `silent` does not respond. Errors of the outputs at a tone are independent, or have a correlation of shape (axes, axes).
     """
     nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
     if not test.also:
@@ -59,7 +59,8 @@ def answer(
     rows = [
         FrequencyResponse(
             omega_rad_s=omega,
-            z=np.where(played_by == place, 1.0, across) * loops[name].z(omega) + errors[place],
+            z=np.where(played_by == place, name != silent, across) * loops[name].z(omega)
+            + errors[place],
             variance=deviation**2 * scatter[place],
             segments=test.segments,
             quality=nothing if name == silent else Quality(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtri
 
 from nufleet.orchestrator.belief.amplitude_dependence import (
     AmplitudeDependence,
@@ -23,6 +23,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.nonlinearity import nonlinearity_of
+from nufleet.shared.frequency_test.quality import NO_RESPONSE_SIGNIFICANCE
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -327,11 +328,20 @@ class RobotKnowledge:
 
     @property
     def silent(self) -> bool:
-        """Whether the robot was tested, and every test is certain that it does not respond."""
+        """Whether the robot was tested, and every test is certain that it does not respond.
+
+        A small response that noise hides at each tone is still one if all tones together show it.
+        """
         codes = [{finding.code for finding in one.quality.warnings} for one in self.responses]
-        return bool(codes) and all(
-            "no-response" in c and "uncertain-at-some" not in c for c in codes
-        )
+        if not codes or any("no-response" not in c or "uncertain-at-some" in c for c in codes):
+            return False
+        z = np.concatenate([one.z for one in self._tones])
+        variance = np.concatenate([one.variance for one in self._tones])
+        variance = variance + np.concatenate(self._hidden)
+        # The variances were estimated, too: the ratio is distributed as F.
+        degrees = sum(float(one.degrees_of_freedom.sum()) for one in self.responses)
+        most = fdtri(2 * len(z), degrees, 1 - NO_RESPONSE_SIGNIFICANCE)
+        return float(np.mean(np.abs(z) ** 2 / variance)) <= float(most)
 
     def forget(self) -> None:
         """Forget all tests."""

@@ -9,6 +9,8 @@ import pytest
 from random_loops import BAND, SPEC, Loop
 from robots_that_learn import double_integrator
 
+from benchmarks.selection_families import BAND_RAD_S, LinearLoop, Mode
+from benchmarks.selection_fleets import TestedRobot
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
@@ -95,6 +97,23 @@ def test_a_robot_that_fails_at_many_tones_and_is_quiet_at_fewer_is_hardly_known(
 def test_noise_that_just_hides_many_tones_is_not_taken_for_actuators_at_their_limits() -> None:
     known = [after_a_repetition(0.045, np.random.default_rng(seed))[0] for seed in range(60)]
     assert sum(bool(one.findings) for one in known) <= 2
+
+
+@pytest.mark.parametrize(("gain", "silent"), [(0.0, True), (0.1, False)])
+def test_a_response_that_noise_hides_at_each_tone_is_one_if_all_tones_show_it(
+    gain: float, silent: bool
+) -> None:
+    hidden = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        robot = TestedRobot(LinearLoop((Mode(3.0, 0.7, gain=gain),), 0.05), 0.012, rng)
+        test = first_look(BAND_RAD_S, robot.spec, 11, 0.7).excitation("x")
+        known = RobotKnowledge("robot", robot.spec, BAND_RAD_S[1])
+        known.learn(robot.test(test)[0], rng)
+        if "no-response" in {one.code for one in known.responses[0].quality.warnings}:
+            hidden += 1
+            assert known.silent == silent
+    assert hidden >= 5
 
 
 def test_tests_of_several_axes_tell_what_each_was_asked_for() -> None:
