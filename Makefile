@@ -25,14 +25,17 @@ ROS2 = ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-geometry-msgs==5.5.1 ros
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo docs test test-busy test-ros2 test-rotorpy check lint clean system-packages
+# mypy takes one core for more than a minute, and tests leave one idle while they wait.
+beside_types = .venv/bin/mypy & types=$$!; $(1); tests=$$?; wait $$types && exit $$tests
+
+.PHONY: demo docs test test-busy test-ros2 test-rotorpy check lint style clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
 
-test: .venv/installed-test system-packages lint
-	@echo "== tests"
-	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile
+test: .venv/installed-test system-packages style
+	@echo "== types and tests"
+	@$(call beside_types,.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile)
 
 # A busy loop ends when the shell of this recipe ends, for whatever reason.
 test-busy: .venv/installed-test system-packages
@@ -73,19 +76,19 @@ test-ros2: .venv-ros2/installed
 docs: .venv/installed-test
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
-check: .venv/installed-test
-	@echo "== lint, format, types and pure tests"
-	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/codespell
-	@.venv/bin/mypy & types=$$!; \
-	.venv/bin/pytest --pure -m "not thorough" -n $(TEST_PROCESSES) --dist loadfile; tests=$$?; \
-	wait $$types && exit $$tests
+check: .venv/installed-test style
+	@echo "== types and pure tests"
+	@$(call beside_types,.venv/bin/pytest --pure -m "not thorough" -n $(TEST_PROCESSES) --dist loadfile)
 
-lint: .venv/installed-test
-	@echo "== lint, format and types"
+lint: style
+	@echo "== types"
+	.venv/bin/mypy
+
+style: .venv/installed-test
+	@echo "== lint, format and spelling"
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/codespell
-	.venv/bin/mypy
 
 .venv/bin/python:
 	@echo "== creating .venv with $(PYTHON)"

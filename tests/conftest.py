@@ -13,10 +13,11 @@ from hypothesis import HealthCheck, settings
 from lifeline import Lifeline
 from purity import is_pure
 
-# The simulated quadrotors need SciPy's array interface, which SciPy reads when it is first
-# imported; in production their process gets it from its driver's `environment`.
-os.environ["SCIPY_ARRAY_API"] = "1"
-os.environ["JAX_PLATFORMS"] = "cpu"
+from nufleet.sims.quadrotors.environment import environment
+
+# What the simulated quadrotors need from the start of their process, such as SciPy's array
+# interface, which SciPy reads when it is first imported.
+os.environ.update(environment())
 
 # Killed outright, a run of the tests leaves no process and no file either.
 _LIFELINE = Lifeline()

@@ -38,7 +38,8 @@ def answer(
 ) -> FrequencyResponse:
     """Return what a test gives of loops, each of which adds a share of itself to the others.
 
-    The axis `silent` does not respond. Errors of the outputs at a tone are independent, or have a correlation of shape (axes, axes).
+    The axis `silent` does not respond. Errors of the outputs at a tone are independent, or have a
+    correlation of shape (axes, axes).
     """
     nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
     if not test.also:

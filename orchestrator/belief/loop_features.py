@@ -149,23 +149,28 @@ def response_and_slope(
     """
     delay = np.exp(-1j * omega_rad_s * theta[..., 4:5])
     total = np.zeros(delay.shape, dtype=np.complex128)
-    columns: list[ComplexArray] = []
+    slope = np.empty((*delay.shape, theta.shape[-1]), dtype=np.complex128)
     for first in (0, *range(LOOP_PARAMETERS, theta.shape[-1], MODE_PARAMETERS)):
         n_0, n_1, log_omega, log_damping = (theta[..., first + i, None] for i in range(4))
         x = omega_rad_s * np.exp(-log_omega)
         damping = np.exp(log_damping)
-        height = 1.0 if first == 0 else 2 * damping
-        inverse = delay * height / (1 + 2j * damping * x - x**2)
-        part = (n_0 + 1j * n_1 * x) * inverse
-        bare = inverse / (delay * height)
+        square, jx = x**2, 1j * x
+        damped = 2 * damping * jx
+        bare = 1 / (1 - square + damped)
+        inverse = (delay if first == 0 else delay * (2 * damping)) * bare
+        by_lead = jx * inverse
+        led = n_1 * by_lead
+        part = n_0 * inverse + led
+        total += part
         # ∂D/∂ln ζ = 2jζx, and since ∂x/∂ln ω₀ = −x, ∂D/∂ln ω₀ = −(2jζx − 2x²). The height 2ζ of a
         # mode adds the mode itself to its derivative in ln ζ.
-        by_damping = -part * 2j * damping * x * bare + (0.0 if first == 0 else part)
-        by_omega = -1j * n_1 * x * inverse + part * (2j * damping * x - 2 * x**2) * bare
-        columns += [inverse, 1j * x * inverse, by_omega, by_damping]
-        total += part
-    by_delay = -1j * omega_rad_s * total
-    return total, np.stack([*columns[:4], by_delay, *columns[4:]], axis=-1)
+        shrunk = part * bare
+        slope[..., first] = inverse
+        slope[..., first + 1] = by_lead
+        slope[..., first + 2] = shrunk * (damped - 2 * square) - led
+        slope[..., first + 3] = (0.0 if first == 0 else part) - shrunk * damped
+    slope[..., LOOP_PARAMETERS - 1] = -1j * omega_rad_s * total
+    return total, slope
 
 
 def mode_columns(

@@ -59,8 +59,9 @@ def fit_from(
     residual, slope = _deviations(theta, tones, prior_mean, prior_std)
     cost = 0.5 * np.sum(residual**2, axis=1)
     for _ in range(ITERATIONS):
-        normal = np.einsum("sij,sik->sjk", slope, slope)
-        gradient = np.einsum("sij,si->sj", slope, residual)
+        transposed = np.swapaxes(slope, 1, 2)
+        normal = transposed @ slope
+        gradient = (transposed @ residual[..., None])[..., 0]
         diagonal = np.einsum("sjj->sj", normal)
         # Marquardt's damping scales with the diagonal, so that steps do not depend on units:
         # (JᵀJ + λ diag JᵀJ) step = Jᵀr, with its own λ for every start.

@@ -43,6 +43,8 @@ _SURE = 2.0  # standard deviations of the noise's mean square that may hide what
 _JITTER = 1e-10
 _ROUNDED = 10 * float(np.finfo(np.float64).eps)  # share of a sum of squares that is not known
 _TINY = float(np.finfo(np.float64).tiny)
+_FACTORS = 16  # of a product that does not overflow
+
 _Prior = tuple[tuple[FloatArray, FloatArray], float, tuple[float, float]]
 """Mean and covariance, scale of the covariance, and standard deviation and probability of g∞."""
 
@@ -231,54 +233,56 @@ def _nothing(
 def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) -> ErrorBelief:
     """Return the belief under that prior, and with that noise, that explain the evidence best."""
     normal, right = _arrays(evidence)
-    best: tuple[float, ErrorBelief] | None = None
+    found = list(priors)
+    if not found:
+        raise InvalidInputError("an axis without evidence")
     # The mean square of n samples of noise varies by √(2/n) of itself.
     hidden = min(1.0, _SURE * float(np.sqrt(2 / evidence.rows)))
     scale = max(evidence.squares / evidence.rows, _TINY)
     moved = max(evidence.moved / evidence.rows, _TINY)
-    for (mean, covariance), size, (rest_std, probability) in priors:
-        prior = size * covariance
-        prior[-1, -1] = rest_std**2
-        prior += _JITTER * np.eye(len(mean))
-        factor = np.linalg.cholesky(prior)
-        # In the coordinates w of x = mean + L Q w, with Q diagonal for LᵀAᵀA L, every direction
-        # is a problem of its own, whose evidence is known in closed form for any noise.
-        power, turn = np.linalg.eigh(factor.T @ normal @ factor)
-        power = np.maximum(power, 0.0)
-        toward = turn.T @ (factor.T @ (right - normal @ mean))
-        of_mean = float(mean @ normal @ mean)
-        squares = evidence.squares - 2 * mean @ right + of_mean
-        # Sums of squares are rounded, which is all that a motion without noise leaves of them.
-        noise = np.maximum(scale * _NOISES, _ROUNDED * max(float(power[-1]), of_mean))
-        explained = np.sum(toward**2 / (noise[:, None] + power), axis=1)
-        cost = (
-            evidence.rows * np.log(noise)
-            + np.sum(np.log1p(power / noise[:, None]), axis=1)
-            + (squares - explained) / noise
-            - 2 * np.log(probability)
-        )
-        at = int(np.argmin(cost))
-        if best is None or cost[at] < best[0]:
-            spread = factor @ turn
-            # What a loop does later than its settling time appears in no parameter. The noise hides
-            # it as it hides what is not linear, and it moves the robot as an error at rest would.
-            tail = np.zeros((len(mean), 1))
-            tail[-1] = min(_TAIL, float(np.sqrt(hidden * noise[at] / moved)))
-            belief = ErrorBelief(
-                basis,
-                mean + spread @ (toward / (noise[at] + power)),
-                np.concatenate([spread / np.sqrt(1 + power / noise[at]), tail], axis=1),
-                float(np.sqrt(noise[at])),
-                evidence.flown_s,
-                min(MODEL_ERROR, float(np.sqrt(hidden * noise[at] / scale))),
-            )
-            best = float(cost[at]), belief
-    if best is None:
-        raise InvalidInputError("an axis without evidence")
-    found = best[1]
-    return replace(
-        found,
-        bounded=evidence.bounded(found.noise_std),
+    means = np.stack([mean for (mean, _), _, _ in found])
+    prior = np.stack([size * covariance for (_, covariance), size, _ in found])
+    rest_std, probability = np.array([rest for _, _, rest in found]).T
+    prior[:, -1, -1] = rest_std**2
+    prior += _JITTER * np.eye(len(right))
+    factor = np.linalg.cholesky(prior)
+    # In the coordinates w of x = mean + L Q w, with Q diagonal for LᵀAᵀA L, every direction
+    # is a problem of its own, whose evidence is known in closed form for any noise.
+    power, turn = np.linalg.eigh(np.swapaxes(factor, 1, 2) @ normal @ factor)
+    power = np.maximum(power, 0.0)
+    spread = factor @ turn
+    of_means = means @ normal
+    toward = np.einsum("pij,pi->pj", spread, right - of_means)
+    of_mean = np.sum(of_means * means, axis=1)
+    squares = evidence.squares - 2 * means @ right + of_mean
+    # Sums of squares are rounded, which is all that a motion without noise leaves of them.
+    noise = np.maximum(scale * _NOISES, _ROUNDED * np.maximum(power[:, -1], of_mean)[:, None])
+    left = 1.0 + power[:, None] / noise[..., None]
+    explained = ((1 / left) @ (toward**2)[..., None])[..., 0] / noise
+    # The logarithm of a product takes less time than those of its factors, which are at most 10¹³.
+    products = np.multiply.reduceat(left, np.arange(0, len(right), _FACTORS), axis=2)
+    cost = (
+        evidence.rows * np.log(noise)
+        + np.sum(np.log(products), axis=2)
+        + (squares[:, None] - explained) / noise
+        - 2 * np.log(probability)[:, None]
+    )
+    best, at = np.unravel_index(np.argmin(cost), cost.shape)
+    noise_variance = float(noise[best, at])
+    # What a loop does later than its settling time appears in no parameter. The noise hides it as
+    # it hides what is not linear, and it moves the robot as an error at rest would.
+    tail = np.zeros((len(right), 1))
+    tail[-1] = min(_TAIL, float(np.sqrt(hidden * noise_variance / moved)))
+    noise_std = float(np.sqrt(noise_variance))
+    certain = np.sqrt(1 + power[best] / noise_variance)
+    return ErrorBelief(
+        basis,
+        means[best] + spread[best] @ (toward[best] / (noise_variance * left[best, at])),
+        np.concatenate([spread[best] / certain, tail], axis=1),
+        noise_std,
+        evidence.flown_s,
+        min(MODEL_ERROR, float(np.sqrt(hidden * noise_variance / scale))),
+        bounded=evidence.bounded(noise_std),
         largest=max(evidence.largest, float(np.sqrt(moved))),
         lasting=max(1.0, evidence.flown_s / (basis.sample_time_s * evidence.rows)),
     )
