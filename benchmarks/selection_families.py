@@ -2,8 +2,10 @@
 
 The first six are well behaved: linear or mildly nonlinear loops that state how slowly they settle.
 Each of the others spoils something: a mode below the lowest tones, a settling time that is stated
-wrong, loops far slower than their band, actuators that are not linear, few samples per period, and
-measurements that gusts, dropped samples or a sagging battery disturb.
+wrong, loops far slower than their band, actuators that are not linear, few samples per period,
+near ties, responses hardly larger than the noise, transients that creep, fleets of several kinds,
+and measurements that gusts, dropped samples, a sagging battery, coarse steps, outliers or a
+swinging load disturb.
 """
 
 from __future__ import annotations
@@ -145,6 +147,31 @@ def gain_and_delay(rng: np.random.Generator) -> LinearLoop:
     return LinearLoop((Mode(omega, damping, gain=gain),), rng.uniform(0.0, 0.4))
 
 
+def alike(rng: np.random.Generator) -> LinearLoop:
+    """A well-damped loop that hardly differs from the others of its family."""
+    omega, damping = 3.0 * math.exp(0.05 * rng.normal()), 0.6 * math.exp(0.1 * rng.normal())
+    return LinearLoop((Mode(omega, damping, 0.1),), rng.uniform(0.04, 0.07))
+
+
+def faint(rng: np.random.Generator) -> LinearLoop:
+    """A well-damped loop that moves by a small share of its reference."""
+    base = second_order(rng)
+    return LinearLoop((replace(base.modes[0], gain=rng.uniform(0.02, 0.2)),), base.delay_s)
+
+
+def creeping(rng: np.random.Generator) -> LinearLoop:
+    """A well-damped loop that creeps for the last of its way, as with an integral controller."""
+    base, share = second_order(rng), rng.uniform(0.03, 0.1) * rng.choice([-1.0, 1.0])
+    creeps = Mode(rng.uniform(0.05, 0.3), rng.uniform(1.0, 1.5), gain=share)
+    return LinearLoop((replace(base.modes[0], gain=1.0 - share), creeps), base.delay_s)
+
+
+def of_any_kind(rng: np.random.Generator) -> LinearLoop:
+    """A loop of one of the linear kinds before, so that a fleet holds several."""
+    kinds = (second_order, lightly_damped, flexible, gain_and_delay, creeping)
+    return kinds[rng.integers(len(kinds))](rng)
+
+
 def slow(rng: np.random.Generator) -> LinearLoop:
     """A loop far slower than its band."""
     omega, damping = rng.uniform(0.6, 1.6), rng.uniform(0.4, 1.0)
@@ -235,6 +262,24 @@ def sag(rng: np.random.Generator, output: FloatArray) -> FloatArray:
     return output * np.linspace(1.0, 1.0 - rng.uniform(0.0, 0.02), len(output))
 
 
+def quantised(rng: np.random.Generator, output: FloatArray) -> FloatArray:
+    """Round positions to steps of 5 to 20 mm."""
+    step_m = rng.uniform(0.005, 0.02)
+    return np.asarray(step_m * np.round(output / step_m))
+
+
+def outliers(rng: np.random.Generator, output: FloatArray) -> FloatArray:
+    """Throw one sample in a hundred off by 0.3 m."""
+    wrong = rng.random(len(output)) < 0.01
+    return output + wrong * 0.3 * rng.standard_normal(len(output))
+
+
+def swinging(rng: np.random.Generator, output: FloatArray) -> FloatArray:
+    """Swing by 10 mm at a frequency of its own, as with a load on a rope."""
+    angle = rng.uniform(0.5, 4.0) * SAMPLE_TIME_S * np.arange(len(output))
+    return np.asarray(output + 0.01 * np.sin(angle + rng.uniform(0, 2 * math.pi)))
+
+
 FAMILIES: dict[str, Family] = {
     "second-order": Family(second_order),
     "lightly-damped": Family(lightly_damped),
@@ -262,4 +307,11 @@ FAMILIES: dict[str, Family] = {
     "gusts": Family(second_order, spoil=gusts),
     "drops": Family(second_order, spoil=drops),
     "sag": Family(second_order, spoil=sag),
+    "near-ties": Family(alike),
+    "faint": Family(faint),
+    "creeping": Family(creeping),
+    "of-any-kind": Family(of_any_kind),
+    "quantised": Family(second_order, spoil=quantised),
+    "outliers": Family(second_order, spoil=outliers),
+    "swinging": Family(second_order, spoil=swinging),
 }
