@@ -259,7 +259,7 @@ def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) 
     noise = np.maximum(scale * _NOISES, _ROUNDED * np.maximum(power[:, -1], of_mean)[:, None])
     left = 1.0 + power[:, None] / noise[..., None]
     explained = ((1 / left) @ (toward**2)[..., None])[..., 0] / noise
-    # The logarithm of a product takes less time than those of its factors, which are at most 10¹³.
+    # The logarithm of a product takes less time than those of its factors, which are below 10¹⁵.
     products = np.multiply.reduceat(left, np.arange(0, len(right), _FACTORS), axis=2)
     cost = (
         evidence.rows * np.log(noise)
