@@ -18,6 +18,11 @@ CHECK_SAMPLES = 400
 """Number of responses that are drawn to tell what was expected."""
 
 
+NO_DELAY_SIGNIFICANCE = 0.01
+"""Probability that noise alone makes tests that differ by a delay differ by more."""
+
+TINY = float(np.finfo(np.float64).tiny)
+
 SAME_TONE = 1e-6
 """Relative difference of two frequencies up to which they are the same tone."""
 
@@ -40,6 +45,16 @@ class Miss:
     """The most significant distance."""
     worst_rad_s: float
     """Its frequency in rad/s."""
+
+    @property
+    def delay_s(self) -> float | None:
+        """Delay in s by which alone the test differs from what was expected; None if by more."""
+        slope, weight = -1j * self.omega_rad_s * self.expected, 1 / self.usual
+        towards = np.sum(weight * np.real(np.conj(slope) * (self.measured - self.expected)))
+        delay_s = float(towards / max(np.sum(weight * np.abs(slope) ** 2), TINY))
+        late = self.expected * np.exp(-1j * self.omega_rad_s * delay_s)
+        left = 2 * float(np.sum(weight * np.abs(self.measured - late) ** 2))
+        return delay_s if left <= chdtri(2 * len(late) - 1, NO_DELAY_SIGNIFICANCE) else None
 
     @property
     def excess(self) -> float:

@@ -77,6 +77,8 @@ class RobotKnowledge:
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
         self._test_doubt = 0.0
         """Variance by which tests missed each other, where only time differed between them."""
+        self.delay_std_s = 0.0
+        """Standard deviation in s of what the delay of one test differs from that of another."""
         self.compared = False
         """Whether the robot was tested at two amplitudes."""
         self.by_amplitude: AmplitudeDependence | None = None
@@ -148,7 +150,9 @@ class RobotKnowledge:
             return
         self._revise()
         tests_only = all(one.flight is None for one in self.responses)
-        if tests_only and compared:
+        if tests_only and self._timed_apart(miss):
+            self.doubt_delays(self.spec.sample_time_s / math.sqrt(12))
+        elif tests_only and compared:
             self._doubt_amplitudes(miss, amplitude or 0.0, response.amplitude or 0.0)
         else:
             self._doubt(self._changed(miss))
@@ -207,6 +211,28 @@ class RobotKnowledge:
         if more > 0 and any(response.flight is not None for response in self.responses):
             self._doubt(more)
             self._revise()
+
+    def doubt_delays(self, std_s: float) -> None:
+        """Believe that the delay differs from test to test.
+
+        Args:
+            std_s: Standard deviation in s; one that is less than what is known says nothing.
+        """
+        if std_s > self.delay_std_s:
+            self.delay_std_s = std_s
+            self._revise()
+
+    def _timed_apart(self, miss: Miss) -> bool:
+        """Return whether nothing but a delay of less than a sample distinguishes two tests."""
+        delay_s, step_s = miss.delay_s, self.spec.sample_time_s
+        if delay_s is None or abs(delay_s) > step_s:
+            return False
+        self._find(
+            f"one of its tests answers {1e3 * abs(delay_s):.2g} ms later than another, and is like "
+            "it otherwise: when a measurement is taken is not known to less than a sample of "
+            f"{1e3 * step_s:.3g} ms, and neither is its delay"
+        )
+        return True
 
     def _doubt_amplitudes(self, miss: Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
@@ -379,7 +405,8 @@ class RobotKnowledge:
         if response.flight is not None:
             return np.zeros(len(tones.z))
         share = distortion.open_share(self._distortions, self._assumed_distortion)
-        doubt: FloatArray = self._test_doubt + (share * np.abs(tones.z)) ** 2
+        relative = share**2 + (tones.omega_rad_s * self.delay_std_s) ** 2
+        doubt: FloatArray = self._test_doubt + relative * np.abs(tones.z) ** 2
         if self.by_amplitude is None:
             return doubt
         return doubt + self.by_amplitude.variance(

@@ -13,9 +13,10 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
     """Extend what is doubted of some robots to the others.
 
     Where the flights of one are no tests, those of the others are not, either; where one of a kind
-    settles more slowly than it states, others that state the same may, too; and what the amplitude
-    does to some of a kind, it may do to all of it, as some of a kind that are not linear show what
-    noise may hide in the tests of the others.
+    settles more slowly than it states, others that state the same may, too; where delays of one
+    differ from test to test, they do of others; and what the amplitude does to some of a kind,
+    it may do to all of it, as some of a kind that are not linear show what noise may hide in
+    the tests of the others.
 
     Args:
         robots: What is known of every robot of a fleet, at least one.
@@ -35,4 +36,5 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
         stated_s = robot.spec.settling_time_s
         alike_too = [one for one in alike[robot.spec.kind] if one.spec.settling_time_s == stated_s]
         robot.expect_settling(max(one.settling_time_s for one in alike_too))
+        robot.doubt_delays(max(one.delay_std_s for one in alike[robot.spec.kind]))
         robot.assume(*shown[robot.spec.kind])

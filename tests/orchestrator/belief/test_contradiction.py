@@ -72,6 +72,24 @@ def test_estimates_at_the_same_tones_are_compared_without_a_model() -> None:
     assert shared == {float(omega) for omega in COMB[::2]}
 
 
+def test_a_delay_between_two_tests_is_told_from_other_changes() -> None:
+    rng = np.random.default_rng(5)
+    found: dict[str, list[float | None]] = {"late": [], "larger": []}
+    for _ in range(50):
+        theta = random_loop(rng, mode=False)
+        one, other = (measured(theta, COMB, DEVIATION, rng) for _ in range(2))
+        late = replace(other, z=other.z * np.exp(-0.1j * COMB))
+        larger = replace(other, z=other.z * 1.3)
+        for kind, new in (("late", late), ("larger", larger)):
+            miss = miss_at_same_tones(new, np.zeros(len(COMB)), one)
+            assert miss is not None
+            found[kind].append(miss.delay_s)
+    late_s = np.array([one for one in found["late"] if one is not None])
+    assert len(late_s) >= 45
+    assert np.max(np.abs(late_s - 0.1)) < 0.03
+    assert sum(one is not None for one in found["larger"]) <= 2
+
+
 def test_tests_without_a_tone_in_common_are_not_compared_like_that() -> None:
     rng = np.random.default_rng(4)
     theta = random_loop(rng, mode=False)
