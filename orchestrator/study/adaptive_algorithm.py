@@ -361,7 +361,8 @@ class AdaptiveStudy:
                 self._lose(
                     name,
                     f"{it} responds to no tone from {lowest_rad_s:.3g} rad/s on: it is not armed, "
-                    "or its dead zone is larger than the amplitudes that it allows",
+                    "its dead zone is larger than the amplitudes that it allows, or noise hides "
+                    "what it does",
                 )
 
     @property
