@@ -21,7 +21,9 @@ CHECK_SAMPLES = 400
 NO_DELAY_SIGNIFICANCE = 0.01
 """Probability that noise alone makes tests that differ by a delay differ by more."""
 
-TINY = float(np.finfo(np.float64).tiny)
+DELAY_TONES_MIN = 3
+"""Number of tones from which a delay is told from other changes: at one, any change of the phase is
+like one."""
 
 SAME_TONE = 1e-6
 """Relative difference of two frequencies up to which they are the same tone."""
@@ -48,10 +50,15 @@ class Miss:
 
     @property
     def delay_s(self) -> float | None:
-        """Delay in s by which alone the test differs from what was expected; None if by more."""
+        """Delay in s by which alone the test differs from what was expected; None if by more.
+
+        It is also None if there are too few tones, or no response, to tell.
+        """
         slope, weight = -1j * self.omega_rad_s * self.expected, 1 / self.usual
+        if len(slope) < DELAY_TONES_MIN or not slope.any():
+            return None
         towards = np.sum(weight * np.real(np.conj(slope) * (self.measured - self.expected)))
-        delay_s = float(towards / max(np.sum(weight * np.abs(slope) ** 2), TINY))
+        delay_s = float(towards / np.sum(weight * np.abs(slope) ** 2))
         late = self.expected * np.exp(-1j * self.omega_rad_s * delay_s)
         left = 2 * float(np.sum(weight * np.abs(self.measured - late) ** 2))
         return delay_s if left <= chdtri(2 * len(late) - 1, NO_DELAY_SIGNIFICANCE) else None

@@ -31,10 +31,14 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
         )
         for kind, some in alike.items()
     }
+    delays_s = {kind: max(one.delay_std_s for one in some) for kind, some in alike.items()}
+    settling_s: dict[tuple[str, float], float] = {}
     for robot in robots:
+        states = (robot.spec.kind, robot.spec.settling_time_s)
+        settling_s[states] = max(settling_s.get(states, 0.0), robot.settling_time_s)
+    for robot in robots:
+        kind = robot.spec.kind
         robot.doubt_flights(doubt)
-        stated_s = robot.spec.settling_time_s
-        alike_too = [one for one in alike[robot.spec.kind] if one.spec.settling_time_s == stated_s]
-        robot.expect_settling(max(one.settling_time_s for one in alike_too))
-        robot.doubt_delays(max(one.delay_std_s for one in alike[robot.spec.kind]))
-        robot.assume(*shown[robot.spec.kind])
+        robot.expect_settling(settling_s[kind, robot.spec.settling_time_s])
+        robot.doubt_delays(delays_s[kind])
+        robot.assume(*shown[kind])

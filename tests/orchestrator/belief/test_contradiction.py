@@ -90,6 +90,15 @@ def test_a_delay_between_two_tests_is_told_from_other_changes() -> None:
     assert sum(one is not None for one in found["larger"]) <= 2
 
 
+def test_at_few_tones_no_change_is_taken_for_a_delay() -> None:
+    omega = COMB[:2]
+    one = Tones(omega, np.ones(2, dtype=complex), np.full(2, 1e-6))
+    late = replace(one, z=one.z * np.exp(-0.01j * omega))
+    miss = miss_at_same_tones(late, np.zeros(2), one)
+    assert miss is not None
+    assert miss.delay_s is None
+
+
 def test_tests_without_a_tone_in_common_are_not_compared_like_that() -> None:
     rng = np.random.default_rng(4)
     theta = random_loop(rng, mode=False)
