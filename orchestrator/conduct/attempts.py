@@ -240,8 +240,9 @@ def retried(
     """Return what a robot plays after a test that was not usable.
 
     What saturated is played at half the amplitude. Everything else is played for up to twice as
-    long. If noise hid the response at all tones, only the lower half of them is played, as large as
-    the robot allows: that is several times as large, since fast tones are limited the most.
+    long. If noise hid the response at all tones, only the lower half of them is played. Where the
+    robot chooses the amplitude, that is several times as large, since fast tones are limited the
+    most; one that was asked for stays as it is, as it may be the largest that anyone wants.
 
     Args:
         excitation: Excitation of the completed test.
@@ -256,7 +257,7 @@ def retried(
     if "clipped" in codes:
         return _at_amplitudes(excitation, [played.amplitude / 2 for played in plan.played])
     if "uncertain" in codes:
-        excitation = _lower_half(_at_amplitudes(excitation, [None] * len(plan.played)))
+        excitation = _lower_half(excitation)
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):
@@ -283,7 +284,7 @@ def _lower_half(excitation: Excitation) -> Excitation:
     return excitation.model_copy(update={**first, "also": also})
 
 
-def _at_amplitudes(excitation: Excitation, amplitudes: Sequence[float | None]) -> Excitation:
+def _at_amplitudes(excitation: Excitation, amplitudes: Sequence[float]) -> Excitation:
     """Return an excitation whose axes have other amplitudes, in the order of its axes."""
     first, *others = amplitudes
     also = tuple(

@@ -46,10 +46,10 @@ class ConsoleObserver:
         if not tested:
             return ""
         longest_s = max(duration_s(test, spec) for test, spec in tested)
-        axes = [spec.axis(played.axis) for test, spec in tested for played in test.played]
-        furthest = max(axes, key=lambda axis: axis.amplitude_max)
-        within = f"±{furthest.amplitude_max:g} {furthest.unit}"
-        return f", {longest_s:.0f} s long and within {within}"
+        axes = [(one, spec.axis(one.axis)) for test, spec in tested for one in test.played]
+        reach = [(played.amplitude or axis.amplitude_max, axis.unit) for played, axis in axes]
+        furthest, unit = max(reach)
+        return f", {longest_s:.0f} s long and within ±{furthest:.4g} {unit}"
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Print that a test has to be repeated or given up."""

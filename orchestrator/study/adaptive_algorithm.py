@@ -14,11 +14,12 @@ decides, as `nufleet.orchestrator.study.comparison` says.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from nufleet.orchestrator.belief.amplitude_dependence import differ
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
@@ -378,7 +379,8 @@ class AdaptiveStudy:
         return f"; a source that was not measured may be closer, so test again: {named}"
 
     def _findings(self, leader: str) -> tuple[str, ...]:
-        found = _together(finding for one in self._robots.values() for finding in one.findings)
+        shown = [finding for one in self._robots.values() for finding in one.findings]
+        found = _together((*shown, *self._larger_than_tested(leader)))
         if leader in self._grounded and self._unseen(leader):
             found.append(
                 f"{leader}: nothing is known of it below {self._robots[leader].lowest_rad_s:.3g} "
@@ -394,6 +396,21 @@ class AdaptiveStudy:
                 "without them"
             )
         return tuple(found)
+
+    def _larger_than_tested(self, leader: str) -> Iterator[str]:
+        """Yield in words of which robots that a claim is about no test was as large as the task."""
+        task = self._plan.amplitude
+        for name in (self._plan.target, leader):
+            for known in self._robots[name].axes.values():
+                played = known.amplitude
+                if task is None or played is None or played > task or not differ(played, task):
+                    continue
+                unit = known.spec.axes[0].unit
+                yield (
+                    f"{known.robot}: the task moves by {task:.2g} {unit}, and tests by "
+                    f"{played:.2g} {unit} at most: what only larger motions show is not known; "
+                    "with a lower upper end of --band, tests may be larger"
+                )
 
     @property
     def _flights_mislead(self) -> bool:

@@ -407,14 +407,17 @@ class Looks:
         return min(first, deeper, key=price_s)
 
     def _amplitudes(self, name: str, choice: ToneChoice) -> tuple[float, ...] | None:
-        """Return the amplitudes of a test; None where the robot chooses them itself."""
+        """Return the amplitudes of a test; None where the robot chooses them itself.
+
+        None is larger than that of the study: who states a small one wants no larger motion.
+        """
         axes = [self._plan.axes[place] for place in choice.axes]
-        wanted = [self._plan.amplitude] * len(axes)
-        if choice.share is not None:
-            wanted = [None] * len(axes)
-            if choice.share < 1:
-                played = [self._known(name, place).amplitude for place in choice.axes]
-                wanted = [None if one is None else choice.share * one for one in played]
+        most = self._plan.amplitude
+        wanted = [most for _ in axes]
+        if choice.share is not None and choice.share < 1:
+            largest = math.inf if most is None else most
+            played = [self._known(name, place).amplitude for place in choice.axes]
+            wanted = [most if one is None else min(choice.share * one, largest) for one in played]
         if all(one is None for one in wanted):
             return None
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
+import sqlite3
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,6 +67,23 @@ def first_page(tmp_path_factory: pytest.TempPathFactory) -> Ranked:
         shown = story.follow("docs/index.md")
     (results,) = folder.glob("runs/*/results.json")
     return Ranked(folder, json.loads(results.read_text())["result"], shown)
+
+
+def test_no_robot_moves_further_than_was_asked_for_however_little_noise_lets_through(
+    tmp_path: Path,
+) -> None:
+    noisy = tmp_path / "noisy.toml"
+    text = FLEET.read_text(encoding="utf-8")
+    noisy.write_text(text.replace("beta", "noise_std_m = 0.003, beta"), encoding="utf-8")
+    command = f"nufleet rank --fleet {noisy.name} --amplitude 0.02"
+    found = ranked(tmp_path, command, *PLAIN, "--iterations", "3")
+    announced = [float(one) for one in re.findall(r"within ±([0-9.]+) m", found.said)]
+    assert len(announced) > 1
+    assert max(announced) <= 0.02
+    with closing(sqlite3.connect(tmp_path / "runs" / "nufleet.sqlite")) as connection:
+        played = [one for (one,) in connection.execute("SELECT amplitude FROM responses")]
+    assert len(played) > 4
+    assert max(played) <= 0.02
 
 
 def test_rank_prints_the_documented_json_alone_on_stdout(paper: Ranked) -> None:

@@ -22,13 +22,17 @@ from nufleet.shared.frequency_test.excitation import Excitation, Tone
 
 
 @pytest.mark.parametrize(("names", "robots"), [("a", "1 robot is"), ("ab", "2 robots are")])
-def test_a_round_says_how_long_and_how_far_its_robots_move(names: str, robots: str) -> None:
+@pytest.mark.parametrize("amplitude", [None, 0.0125])
+def test_a_round_says_how_long_and_how_far_its_robots_move(
+    names: str, robots: str, amplitude: float | None
+) -> None:
     console = Console(file=io.StringIO(), width=200)
-    test = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),))
+    test = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),), amplitude=amplitude)
     question = Question(1, dict.fromkeys(names, test))
     ConsoleObserver(console, 7, dict.fromkeys(names, SPEC)).asked(question)
     assert isinstance(console.file, io.StringIO)
-    within = f"{duration_s(test, SPEC):.0f} s long and within ±{SPEC.axes[0].amplitude_max:g} m"
+    furthest_m = amplitude or SPEC.axes[0].amplitude_max
+    within = f"{duration_s(test, SPEC):.0f} s long and within ±{furthest_m:g} m"
     assert f"{robots} asked to play 2.000 rad/s, {within}" in console.file.getvalue()
 
 

@@ -144,6 +144,18 @@ def test_a_response_that_depends_on_the_amplitude_is_said_and_believed_less() ->
     assert widths[1] > 2 * widths[0]
 
 
+@pytest.mark.parametrize(("amplitude", "larger"), [(None, False), (0.2, False), (1.0, True)])
+def test_a_task_larger_than_any_test_is_said(amplitude: float | None, larger: bool) -> None:
+    plan = StudyPlan("target", ("near", "middle", "far"), BAND, 8, "x", amplitude=amplitude)
+    report, _ = last_of(FLEET, plan=plan)
+    said = [finding for finding in report.findings if "larger motions" in finding]
+    assert bool(said) is larger
+    if larger:
+        robots, _, text = said[0].partition(": ")
+        assert robots == "target, near"
+        assert text.startswith("the task moves by 1 m, and tests by 0.")
+
+
 def test_with_a_precision_it_goes_on_until_the_interval_is_as_narrow() -> None:
     plan = StudyPlan("target", ("near", "middle", "far"), BAND, 12, "x")
     loose, rounds = last_of(FLEET, plan=plan)

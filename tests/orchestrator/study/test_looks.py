@@ -44,6 +44,7 @@ def looks_of(
     sample_time_s=st.sampled_from([0.001, 0.02, 0.1, 1.0]),
     amplitude=st.none() | st.floats(1e-3, 10.0),
     played=st.floats(0.01, 0.5),
+    std=st.sampled_from([0.01, 0.2]),
     alone=st.booleans(),
 )
 def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
@@ -53,6 +54,7 @@ def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
     sample_time_s: float,
     amplitude: float | None,
     played: float,
+    std: float,
     alone: bool,
 ) -> None:
     high = min(low * span, 0.9 * np.pi / sample_time_s)
@@ -72,12 +74,13 @@ def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
     rng = np.random.default_rng(0)
     test = looks.excitation("robot", first)
     plan_excitation(test, spec, "robot")
-    response = Loop(0.5 * high).answer(test, 0.01, rng)
+    response = Loop(0.5 * high).answer(test, std, rng)
     known.learn(replace(response, amplitude=played), rng)
     assert np.all(np.isfinite(known.axes["x"].model.draw(np.linspace(low, high, 8), 20, rng)))
     for choice in looks.candidates("robot", (low, 0.5 * (low + high))):
         plan = plan_excitation(looks.excitation("robot", choice), spec, "robot")
         assert plan.duration_s == pytest.approx(looks.duration_s("robot", choice))
+        assert amplitude is None or plan.amplitude <= amplitude
 
 
 def claimed_look(looks: Looks, known: AxesKnowledge, std: float = 0.01) -> ToneChoice:
@@ -150,6 +153,21 @@ def test_where_noise_leaves_no_room_for_a_smaller_amplitude_none_is_asked_for() 
     response = Loop(3.0).answer(looks.excitation("robot", looks.first["robot"]), 0.1, rng)
     known.learn(replace(response, amplitude=0.1), rng)
     assert looks.due(["robot"]) == {}
+
+
+@pytest.mark.parametrize("std", [0.01, 0.2])
+@pytest.mark.parametrize("played", [0.02, 0.3])
+def test_no_test_is_larger_than_the_study_allows_whatever_was_played_before(
+    std: float, played: float
+) -> None:
+    looks, known = looks_of(SPEC, amplitude=0.02)
+    rng = np.random.default_rng(0)
+    response = Loop(3.0).answer(looks.excitation("robot", looks.first["robot"]), std, rng)
+    known.learn(replace(response, amplitude=played), rng)
+    for choice in (*looks.candidates("robot", (1.0, 3.0)), *looks.due(["robot"]).values()):
+        asked = looks.excitation("robot", choice).amplitude
+        assert asked is not None
+        assert asked <= 0.02
 
 
 def test_the_lowest_look_is_as_low_as_the_longest_motion_of_the_robot_allows() -> None:
