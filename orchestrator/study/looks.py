@@ -412,12 +412,12 @@ class Looks:
         None is larger than that of the study: who states a small one wants no larger motion.
         """
         axes = [self._plan.axes[place] for place in choice.axes]
-        most = self._plan.amplitude
-        wanted = [most for _ in axes]
+        task = self._plan.amplitude
+        wanted = [task for _ in axes]
         if choice.share is not None and choice.share < 1:
-            largest = math.inf if most is None else most
+            largest = math.inf if task is None else task
             played = [self._known(name, place).amplitude for place in choice.axes]
-            wanted = [most if one is None else min(choice.share * one, largest) for one in played]
+            wanted = [task if one is None else min(choice.share * one, largest) for one in played]
         if all(one is None for one in wanted):
             return None
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]
