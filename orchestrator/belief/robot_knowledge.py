@@ -341,16 +341,20 @@ class RobotKnowledge:
         return least
 
     @property
+    def amplitudes(self) -> tuple[float, ...]:
+        """Amplitudes of the tests in the axis's unit, as far as they are known."""
+        played = (one.amplitude for one in self.responses if one.flight is None)
+        return tuple(one for one in played if one is not None)
+
+    @property
     def amplitude(self) -> float | None:
         """Largest amplitude of the tests in the axis's unit; None where it is not known."""
-        played = [r.amplitude for r in self.responses if r.flight is None]
-        return max((one for one in played if one is not None), default=None)
+        return max(self.amplitudes, default=None)
 
     @property
     def at_two_amplitudes(self) -> bool:
         """Whether tests were played at clearly different amplitudes."""
-        played = (one for one in self.responses if one.flight is None)
-        return any(differ(one.amplitude, self.amplitude) for one in played)
+        return any(differ(one, self.amplitude) for one in self.amplitudes)
 
     @property
     def silent(self) -> bool:

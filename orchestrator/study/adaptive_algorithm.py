@@ -380,7 +380,7 @@ class AdaptiveStudy:
 
     def _findings(self, leader: str) -> tuple[str, ...]:
         shown = [finding for one in self._robots.values() for finding in one.findings]
-        found = _together((*shown, *self._larger_than_tested(leader)))
+        found = _together((*shown, *self._of_another_size(leader)))
         if leader in self._grounded and self._unseen(leader):
             found.append(
                 f"{leader}: nothing is known of it below {self._robots[leader].lowest_rad_s:.3g} "
@@ -397,20 +397,30 @@ class AdaptiveStudy:
             )
         return tuple(found)
 
-    def _larger_than_tested(self, leader: str) -> Iterator[str]:
-        """Yield in words of which robots that a claim is about no test was as large as the task."""
+    def _of_another_size(self, leader: str) -> Iterator[str]:
+        """Yield in words of which robots that a claim is about no test was as large as the task, or
+        as small."""
         task = self._plan.amplitude
         for name in (self._plan.target, leader):
             for known in self._robots[name].axes.values():
-                played = known.amplitude
-                if task is None or played is None or played > task or not differ(played, task):
+                played = known.amplitudes
+                if task is None or not played or min(played) <= task <= max(played):
+                    continue
+                nearest = min(played, key=lambda one: abs(one - task))
+                if not differ(nearest, task):
                     continue
                 unit = known.spec.axes[0].unit
-                yield (
-                    f"{known.robot}: the task moves by {task:.2g} {unit}, and tests by "
-                    f"{played:.2g} {unit} at most: what only larger motions show is not known; "
-                    "with a lower upper end of --band, tests may be larger"
-                )
+                moves = f"{known.robot}: the task moves by {task:.2g} {unit}, and tests by "
+                if nearest < task:
+                    yield (
+                        f"{moves}{nearest:.2g} {unit} at most: what only larger motions show is "
+                        "not known; with a lower upper end of --band, tests may be larger"
+                    )
+                else:
+                    yield (
+                        f"{moves}{nearest:.2g} {unit} at least: what only smaller motions show, "
+                        "such as friction, is not known; test again without --reuse"
+                    )
 
     @property
     def _flights_mislead(self) -> bool:

@@ -156,6 +156,23 @@ def test_a_task_larger_than_any_test_is_said(amplitude: float | None, larger: bo
         assert text.startswith("the task moves by 1 m, and tests by 0.")
 
 
+def test_a_task_smaller_than_any_stored_test_is_said() -> None:
+    rng = np.random.default_rng(1)
+    first = first_look(BAND, SPEC, 11, 0.7).excitation("x")
+    tests = [replace(FLEET["near"].answer(first, 0.005, rng), amplitude=0.3)]
+    plan = StudyPlan("target", ("near",), BAND, 8, "x", amplitude=0.02)
+    specs = dict.fromkeys(("target", "near"), SPEC)
+    study = AdaptiveStudy(plan, specs, rng, stored={"near": tests}, absent=("near",))
+    question = study.ask()
+    assert question is not None
+    given = {
+        name: replace(one, amplitude=question.tests[name].amplitude)
+        for name, one in answers(FLEET, question, 0.005, rng).items()
+    }
+    (said,) = [one for one in study.tell(given, {}).findings if "the task moves" in one]
+    assert said.startswith("near: the task moves by 0.02 m, and tests by 0.3 m at least")
+
+
 def test_with_a_precision_it_goes_on_until_the_interval_is_as_narrow() -> None:
     plan = StudyPlan("target", ("near", "middle", "far"), BAND, 12, "x")
     loose, rounds = last_of(FLEET, plan=plan)
