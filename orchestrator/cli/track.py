@@ -39,7 +39,8 @@ from nufleet.orchestrator.cli.types import DrawingName, PositiveNumber
     default=0.6,
     show_default=True,
     metavar="M_S",
-    help="Largest speed on the path, in the unit of the robot's axes per second.",
+    help="Largest speed on the path, and on the way to it, in the unit of the robot's axes per "
+    "second.",
 )
 @click.option(
     "--scale",

@@ -183,7 +183,7 @@ def _along(
     robot: Description, what: str, desired: FloatArray, *, corrected: bool, times: int
 ) -> PlannedMotion:
     limits = tracking_limits(robot.spec, robot.robot)
-    references = np.concatenate([approach(robot.spec, desired[0], limits), desired])
+    references = np.concatenate([approach(robot.spec, desired, limits), desired])
     slack, speed = (limits.correction_max, limits.correction_speed_max) if corrected else (0.0, 0.0)
     return _motion(robot, what, references, times=times, slack=slack, speed=speed)
 

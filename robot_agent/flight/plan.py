@@ -73,7 +73,7 @@ def plan_flight(
                 raise RefusedError("unguarded", reason, robot)
             _check_inverse(motion, spec, state_names, memory, robot)
             samples = len(motion.desired)
-            before = samples + len(approach(spec, motion.desired[0], limits))
+            before = samples + len(approach(spec, motion.desired, limits))
     duration_s = before * spec.sample_time_s + spec.settling_time_s
     if duration_s > spec.duration_max_s:
         raise RefusedError(

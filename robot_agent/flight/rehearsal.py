@@ -149,7 +149,7 @@ class Rehearsal:
         if limits is None:
             raise RobotError("the robot does not track")
         rng = np.random.default_rng(seed)
-        samples = len(self.desired) + len(approach(self.spec, self.desired[0], limits))
+        samples = len(self.desired) + len(approach(self.spec, self.desired, limits))
         draw = self._draw(samples, rng)
         if likeliest:
             across = np.zeros_like(draw.across)

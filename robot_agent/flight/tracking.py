@@ -136,7 +136,7 @@ def track(
             )
     elif learner is None and guard is not None:
         raise InvalidInputError("a guard monitors a learner; the baseline does not need one")
-    robot.run(approach(robot.spec, desired[0], limits))
+    robot.run(approach(robot.spec, desired, limits))
     flight = _Flight(robot, desired, limits, learner, guard, fallback, watch)
     failure: str | None = None
     try:

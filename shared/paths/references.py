@@ -26,6 +26,9 @@ _TONES = 8
 STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
 _STEPS_S = 100.0  # more than `STEPS_UP_MIN` steps are played only if they fit into this time
 
+SLOWEST = 0.05
+"""Least speed of an approach, as a share of the largest that the robot may track at."""
+
 
 def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator) -> FloatArray:
     """Return references that excite every axis, from rest to rest.
@@ -151,20 +154,26 @@ def step_references(spec: RobotSpec, column: int) -> FloatArray:
     return references
 
 
-def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> FloatArray:
+def approach(spec: RobotSpec, path: FloatArray, limits: TrackingLimits) -> FloatArray:
     """Return the references that lead from the origin to a path's start and let the robot settle.
+
+    They are no faster than the path: who flies it slowly wants to be near no faster motion.
 
     Args:
         spec: Description of the robot.
-        start: First point of the path, shape (axes,), in the axes' units.
-        limits: Tracking limits of the robot; the approach uses half of the speed and acceleration.
+        path: Path, shape (samples, axes), in the axes' units.
+        limits: Tracking limits of the robot; the approach uses at most half of the speed and
+            acceleration, and at least `SLOWEST` of the speed, so that it ends.
 
     Returns:
         The references, shape (samples, axes), in the axes' units.
     """
+    start = path[0]
     settle = np.tile(start, (max(1, math.ceil(spec.settling_time_s / spec.sample_time_s)), 1))
     if not start.any():
         return settle
     line = np.stack([np.zeros_like(start), start])
-    speed, acceleration = limits.speed_max / 2, limits.acceleration_max / 2
-    return np.concatenate([travel(line, speed, acceleration, spec.sample_time_s), settle])
+    speeds, _ = speeds_and_accelerations(path, spec.sample_time_s)
+    speed = min(max(float(speeds.max()), SLOWEST * limits.speed_max), limits.speed_max / 2)
+    way = travel(line, speed, limits.acceleration_max / 2, spec.sample_time_s)
+    return np.concatenate([way, settle])

@@ -104,7 +104,7 @@ def test_the_way_to_a_start_elsewhere_and_settling_are_counted() -> None:
     elsewhere = PATH + 0.4
     plan = planned(Tracking(desired=elsewhere, inverse="baseline"))
     assert plan.samples == len(PATH)
-    way = approach(SPEC, elsewhere[0], LIMITS)
+    way = approach(SPEC, elsewhere, LIMITS)
     assert plan.duration_s == pytest.approx((len(PATH) + len(way)) * STEP_S + SPEC.settling_time_s)
     at_once = planned(Tracking(desired=PATH, inverse="baseline"))
     assert at_once.duration_s < plan.duration_s

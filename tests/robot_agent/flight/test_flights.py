@@ -81,7 +81,7 @@ def test_a_flight_that_is_ended_early_says_who_ended_it_and_keeps_what_it_flew(
 def test_a_halt_between_the_look_at_the_switch_and_the_sample_counts_as_well() -> None:
     """A paced robot waits for its sample, and that is when most halts come."""
     robot, switch = LaggedRobot(), HaltSwitch()
-    settle = len(approach(robot.spec, PATH[0], LIMITS))
+    settle = len(approach(robot.spec, PATH, LIMITS))
     wait = switch.wait
 
     def wait_and_halt(timeout_s: float) -> None:
@@ -125,7 +125,7 @@ def test_a_baseline_that_cannot_be_stored_fails_the_flight_and_not_the_robot(
 
 
 def test_a_flight_that_fails_on_its_way_is_a_failed_one_with_its_samples() -> None:
-    way = len(approach(LaggedRobot().spec, PATH[0], LIMITS))
+    way = len(approach(LaggedRobot().spec, PATH, LIMITS))
     robot = LaggedRobot(blind_at=way + 30)
     played = flown(robot, baseline_flight())
     assert played.outcome is Outcome.FAILED
