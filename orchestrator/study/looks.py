@@ -42,6 +42,7 @@ from nufleet.orchestrator.study.tone_choice import (
 )
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.frequency_test.duration import timing
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
 from nufleet.shared.robots.spec import RobotSpec
@@ -420,10 +421,9 @@ class Looks:
             wanted = [task if one is None else min(choice.share * one, largest) for one in played]
         if all(one is None for one in wanted):
             return None
-        tones = [one.tones for one in choice.excitation(*self._plan.axes).played]
-        spec = self._robots[name].spec
-        limits = [spec.axis(axis) for axis in axes]
-        most = largest_amplitudes(tones, limits, choice.base_rad_s)
+        test, spec = choice.excitation(*self._plan.axes), self._robots[name].spec
+        tones, limits = [one.tones for one in test.played], [spec.axis(axis) for axis in axes]
+        most = largest_amplitudes(tones, limits, choice.base_rad_s, timing(test, spec).ramp_s)
         return tuple(
             limit if one is None else min(one, limit)
             for one, limit in zip(wanted, most, strict=True)

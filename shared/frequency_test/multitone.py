@@ -8,7 +8,7 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Tone
-from nufleet.shared.robots.joint_limits import joint_share
+from nufleet.shared.robots.joint_limits import HEADROOM, joint_share
 from nufleet.shared.robots.spec import AxisSpec
 
 PHASES_DRAWN = 100
@@ -17,8 +17,8 @@ PHASES_DRAWN = 100
 DERIVATIVES = (0, 1, 2)
 """Orders of the derivatives whose peaks count: position, speed and acceleration."""
 
-RAMPED = 0.6
-"""Share of the limits that tones may take, so that ramps, which add to them, find room."""
+RAMP_POINTS = 9
+"""Number of points of a ramp, ends and middle included, at which motions are bounded."""
 
 SAMPLES_PER_PERIOD = 8
 """Samples per period of the fastest tone among which peaks are looked for; more would find the same
@@ -76,41 +76,49 @@ def interleaved(harmonics: Sequence[int], axes: int) -> tuple[tuple[int, ...], .
 
 
 def largest_amplitudes(
-    played: Sequence[tuple[Tone, ...]], axes: Sequence[AxisSpec], base_rad_s: float
+    played: Sequence[tuple[Tone, ...]], axes: Sequence[AxisSpec], base_rad_s: float, ramp_s: float
 ) -> tuple[float, ...]:
-    """Return amplitudes at which a robot accepts these tones together with any ramp.
+    """Return amplitudes at which a robot accepts these tones together with their ramps.
 
     Every axis keeps its own limits, and all together keep the ellipsoids of
-    `nufleet.shared.robots.joint_limits`.
+    `nufleet.shared.robots.joint_limits`. Short ramps of slow tones are faster than these; at
+    which phase of the tones they come is not asked.
 
     Args:
         played: Tones of a test, for each axis that plays.
         axes: These axes with their limits.
         base_rad_s: Base frequency, after a period of which the sums of the tones repeat.
+        ramp_s: Duration of each ramp, a raised cosine, in s.
     """
     omega_max_rad_s = max(tone.omega_rad_s for tones in played for tone in tones)
     samples = 2 * SAMPLES_PER_PERIOD * (int(omega_max_rad_s / base_rad_s) + 1)
     times_s = np.linspace(0.0, 2 * np.pi / base_rad_s, samples)
-    amplitudes, velocities, accelerations = [], [], []
-    for tones, axis in zip(played, axes, strict=True):
+    orders = np.empty((len(DERIVATIVES), samples, len(axes)))
+    for n, tones in enumerate(played):
         own_rad_s = np.array([tone.omega_rad_s for tone in tones])
         phases = np.array([tone.phase_rad for tone in tones])
         phasors = np.array([tone.weight for tone in tones]) * np.exp(1j * phases)
         waves = np.exp(1j * np.outer(times_s, own_rad_s))
-        position, velocity, acceleration = (
-            (waves @ (phasors * (1j * own_rad_s) ** order)).imag for order in range(3)
-        )
-        peak, *peaks = (float(np.max(np.abs(one))) for one in (position, velocity, acceleration))
-        amplitude = RAMPED * min(
-            axis.amplitude_max,
-            axis.velocity_max * peak / peaks[0],
-            axis.acceleration_max * peak / peaks[1],
-        )
-        amplitudes.append(amplitude)
-        velocities.append(velocity * (amplitude / peak))
-        accelerations.append(acceleration * (amplitude / peak))
-    share = joint_share(np.array(velocities).T / RAMPED, np.array(accelerations).T / RAMPED, axes)
-    return tuple(share * amplitude for amplitude in amplitudes)
+        for order in DERIVATIVES:
+            orders[order, :, n] = (waves @ (phasors * (1j * own_rad_s) ** order)).imag
+    position, velocity, acceleration = orders / np.max(np.abs(orders[0]), axis=0)
+    # The reference is e(t) s(t) with the envelope e, whose derivatives vanish between the ramps.
+    turn, rate_1_s = np.linspace(0.0, np.pi, RAMP_POINTS), np.pi / ramp_s
+    envelope = np.append((1 - np.cos(turn)) / 2, 1.0)[:, None, None]
+    slope = np.append(rate_1_s * np.sin(turn) / 2, 0.0)[:, None, None]
+    bend = np.append(rate_1_s**2 * np.cos(turn) / 2, 0.0)[:, None, None]
+    velocities = (slope * position + envelope * velocity).reshape(-1, len(axes))
+    accelerations = bend * position + 2 * slope * velocity + envelope * acceleration
+    accelerations = accelerations.reshape(-1, len(axes))
+    fastest, hardest = (np.abs(one).max(axis=0) for one in (velocities, accelerations))
+    amplitudes = np.array(
+        [
+            min(axis.amplitude_max, axis.velocity_max / v, axis.acceleration_max / a)
+            for axis, v, a in zip(axes, fastest, hardest, strict=True)
+        ]
+    )
+    share = joint_share(velocities * amplitudes, accelerations * amplitudes, axes)
+    return tuple((HEADROOM * share * amplitudes).tolist())
 
 
 def random_phases(

@@ -8,10 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from nufleet.orchestrator.study.tone_choice import first_look, lowest_look_together
+from nufleet.orchestrator.study.tone_choice import (
+    first_look,
+    lowest_look,
+    lowest_look_together,
+)
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.duration import timing
 from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, ExcitationPlan, Tone
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
 from nufleet.shared.robots.joint_limits import HEADROOM
@@ -102,9 +107,46 @@ def test_the_largest_amplitudes_that_are_foreseen_are_accepted(
     ]
     for choice in choices:
         assert choice is not None
-        played = [one.tones for one in choice.excitation(*NAMES).played]
-        amplitudes = largest_amplitudes(played, spec.axes, choice.base_rad_s)
+        test = choice.excitation(*NAMES)
+        played = [one.tones for one in test.played]
+        ramp_s = timing(test, spec).ramp_s
+        amplitudes = largest_amplitudes(played, spec.axes, choice.base_rad_s, ramp_s)
         plan_excitation(choice.excitation(*NAMES, amplitudes=amplitudes), spec, "robot")
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    low=st.floats(0.01, 1.0),
+    span=st.floats(2.0, 100.0),
+    axis=limits,
+    sample_time_s=st.sampled_from([0.001, 0.02, 0.1]),
+    settling_time_s=st.floats(0.1, 100.0),
+)
+def test_ramps_are_foreseen_in_every_band_at_hardly_less_than_the_robot_would_choose(
+    low: float,
+    span: float,
+    axis: tuple[float, float, float],
+    sample_time_s: float,
+    settling_time_s: float,
+) -> None:
+    high = min(low * span, 0.9 * np.pi / sample_time_s)
+    spec = spec_of(axis).model_copy(
+        update={
+            "sample_time_s": sample_time_s,
+            "settling_time_s": settling_time_s,
+            "omega_min_rad_s": low,
+            "omega_max_rad_s": high,
+            "duration_max_s": 1e5,
+        }
+    )
+    first = first_look((low, high), spec, 11, 0.5)
+    for choice in (first, lowest_look(spec, 2.5 * low, first)):
+        test = choice.excitation("x")
+        ramp_s = timing(test, spec).ramp_s
+        amplitudes = largest_amplitudes([test.tones], spec.axes, choice.base_rad_s, ramp_s)
+        asked = choice.excitation("x", amplitudes=amplitudes)
+        chosen = plan_excitation(test, spec, "robot").amplitude
+        assert 0.4 * chosen < plan_excitation(asked, spec, "robot").amplitude < 1.05 * chosen
 
 
 def test_an_axis_that_may_not_move_with_another_is_tested_alone() -> None:
