@@ -403,23 +403,20 @@ class AdaptiveStudy:
         task = self._plan.amplitude
         for name in (self._plan.target, leader):
             for known in self._robots[name].axes.values():
-                played = known.amplitudes
-                if task is None or not played or min(played) <= task <= max(played):
+                if task is None or not known.amplitudes:
                     continue
-                nearest = min(played, key=lambda one: abs(one - task))
-                if not differ(nearest, task):
-                    continue
+                least, most = min(known.amplitudes), max(known.amplitudes)
                 unit = known.spec.axes[0].unit
                 moves = f"{known.robot}: the task moves by {task:.2g} {unit}, and tests by "
-                if nearest < task:
+                if task > most and differ(task, most):
                     yield (
-                        f"{moves}{nearest:.2g} {unit} at most: what only larger motions show is "
-                        "not known; with a lower upper end of --band, tests may be larger"
+                        f"{moves}{most:.2g} {unit} at most: what only larger motions show is not "
+                        "known; with a lower upper end of --band, tests may be larger"
                     )
-                else:
+                if task < least and differ(task, least):
                     yield (
-                        f"{moves}{nearest:.2g} {unit} at least: what only smaller motions show, "
-                        "such as friction, is not known; test again without --reuse"
+                        f"{moves}{least:.2g} {unit} at least: what only smaller motions show, such "
+                        "as friction, is not known; test again without --reuse"
                     )
 
     @property

@@ -410,7 +410,7 @@ class Looks:
     def _amplitudes(self, name: str, choice: ToneChoice) -> tuple[float, ...] | None:
         """Return the amplitudes of a test; None where the robot chooses them itself.
 
-        None is larger than that of the study: who states a small one wants no larger motion.
+        No amplitude exceeds that of the study: who states a small one wants no larger motion.
         """
         axes = [self._plan.axes[place] for place in choice.axes]
         task = self._plan.amplitude

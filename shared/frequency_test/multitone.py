@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -93,32 +94,50 @@ def largest_amplitudes(
     omega_max_rad_s = max(tone.omega_rad_s for tones in played for tone in tones)
     samples = 2 * SAMPLES_PER_PERIOD * (int(omega_max_rad_s / base_rad_s) + 1)
     times_s = np.linspace(0.0, 2 * np.pi / base_rad_s, samples)
-    orders = np.empty((len(DERIVATIVES), samples, len(axes)))
+    orders = np.zeros((len(DERIVATIVES), samples, len(axes)))
     for n, tones in enumerate(played):
-        own_rad_s = np.array([tone.omega_rad_s for tone in tones])
-        phases = np.array([tone.phase_rad for tone in tones])
-        phasors = np.array([tone.weight for tone in tones]) * np.exp(1j * phases)
-        waves = np.exp(1j * np.outer(times_s, own_rad_s))
-        for order in DERIVATIVES:
-            orders[order, :, n] = (waves @ (phasors * (1j * own_rad_s) ** order)).imag
-    position, velocity, acceleration = orders / np.max(np.abs(orders[0]), axis=0)
-    # The reference is e(t) s(t) with the envelope e, whose derivatives vanish between the ramps.
-    turn, rate_1_s = np.linspace(0.0, np.pi, RAMP_POINTS), np.pi / ramp_s
-    envelope = np.append((1 - np.cos(turn)) / 2, 1.0)[:, None, None]
-    slope = np.append(rate_1_s * np.sin(turn) / 2, 0.0)[:, None, None]
-    bend = np.append(rate_1_s**2 * np.cos(turn) / 2, 0.0)[:, None, None]
-    velocities = (slope * position + envelope * velocity).reshape(-1, len(axes))
-    accelerations = bend * position + 2 * slope * velocity + envelope * acceleration
-    accelerations = accelerations.reshape(-1, len(axes))
-    fastest, hardest = (np.abs(one).max(axis=0) for one in (velocities, accelerations))
+        # One tone at a time: in bands of many decades, all at once would take gigabytes.
+        for tone in tones:
+            wave = tone.weight * np.exp(1j * (tone.omega_rad_s * times_s + tone.phase_rad))
+            for order in DERIVATIVES:
+                orders[order, :, n] += (wave * (1j * tone.omega_rad_s) ** order).imag
+    orders /= np.max(np.abs(orders[0]), axis=0)
+    peaks = [(np.abs(v).max(axis=0), np.abs(a).max(axis=0)) for v, a in _ramped(orders, ramp_s)]
+    fastest, hardest = np.max(peaks, axis=0)
     amplitudes = np.array(
         [
             min(axis.amplitude_max, axis.velocity_max / v, axis.acceleration_max / a)
             for axis, v, a in zip(axes, fastest, hardest, strict=True)
         ]
     )
-    share = joint_share(velocities * amplitudes, accelerations * amplitudes, axes)
+    share = min(
+        joint_share(v * amplitudes, a * amplitudes, axes) for v, a in _ramped(orders, ramp_s)
+    )
     return tuple((HEADROOM * share * amplitudes).tolist())
+
+
+def _ramped(orders: FloatArray, ramp_s: float) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield velocities and accelerations between the ramps and at each of `RAMP_POINTS` of a ramp.
+
+    The reference is e(t) s(t), where the derivatives of the envelope e vanish between the ramps.
+
+    Args:
+        orders: The sum of tones s and its derivatives, shape (3, samples, axes).
+        ramp_s: Duration of each ramp in s.
+
+    Yields:
+        Velocity and acceleration at every phase of the tones, each of shape (samples, axes).
+    """
+    position, velocity, acceleration = orders
+    yield velocity, acceleration
+    rate_1_s = math.pi / ramp_s
+    for turn in np.linspace(0.0, math.pi, RAMP_POINTS):
+        envelope, slope = (1 - math.cos(turn)) / 2, rate_1_s * math.sin(turn) / 2
+        bend = rate_1_s**2 * math.cos(turn) / 2
+        yield (
+            slope * position + envelope * velocity,
+            bend * position + 2 * slope * velocity + envelope * acceleration,
+        )
 
 
 def random_phases(

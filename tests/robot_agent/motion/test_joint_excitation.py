@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -147,6 +149,27 @@ def test_ramps_are_foreseen_in_every_band_at_hardly_less_than_the_robot_would_ch
         asked = choice.excitation("x", amplitudes=amplitudes)
         chosen = plan_excitation(test, spec, "robot").amplitude
         assert 0.4 * chosen < plan_excitation(asked, spec, "robot").amplitude < 1.05 * chosen
+
+
+def test_a_band_of_five_decades_takes_no_gigabytes() -> None:
+    spec = spec_of((1.0, 1.0, 5.0)).model_copy(
+        update={
+            "sample_time_s": 0.001,
+            "omega_min_rad_s": 0.01,
+            "omega_max_rad_s": 1000.0,
+            "duration_max_s": 1e5,
+        }
+    )
+    choice = lowest_look(spec, 0.025, first_look((0.01, 1000.0), spec, 11, 0.5))
+    test = choice.excitation("x")
+    tracemalloc.start()
+    try:
+        ramp_s = timing(test, spec).ramp_s
+        largest_amplitudes([test.tones], spec.axes, choice.base_rad_s, ramp_s)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 2e8
 
 
 def test_an_axis_that_may_not_move_with_another_is_tested_alone() -> None:

@@ -6,33 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from robots_that_learn import LIMITS, LaggedRobot
 
 from nufleet.shared.paths.references import SLOWEST, approach
 from nufleet.shared.paths.trajectories import speeds_and_accelerations, travel
-from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
 
-STEP_S = 0.02
-LIMITS = TrackingLimits(
-    position_max=2.0,
-    speed_max=1.0,
-    acceleration_max=4.0,
-    correction_max=0.3,
-    correction_speed_max=1.0,
-)
-SPEC = RobotSpec(
-    kind="any",
-    axes=tuple(
-        AxisSpec(name=name, unit="m", amplitude_max=1, velocity_max=1, acceleration_max=5)
-        for name in "xy"
-    ),
-    sample_time_s=STEP_S,
-    omega_min_rad_s=0.1,
-    omega_max_rad_s=20.0,
-    duration_max_s=600.0,
-    settling_time_s=1.0,
-    simulated=False,
-    tracking=LIMITS,
-)
+SPEC = LaggedRobot().spec
+STEP_S = SPEC.sample_time_s
 
 
 @given(speed=st.floats(1e-6, 1.0), start=st.floats(0.1, 1.5))
