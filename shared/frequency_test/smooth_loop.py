@@ -307,9 +307,11 @@ class _Problem:
         power = self._floor * at.noise_ratio
         gram, moments, _, _ = self._gram(at.colour)
         std = self._prior_std(at, power)
-        factor = cholesky(
-            np.eye(len(std)) + gram * np.outer(std, std) / power, lower=True, check_finite=False
-        )
+        told = gram * np.outer(std, std) / power
+        # Rounding leaves ΦᵀΦ indefinite by that much, which is more than I without noise.
+        rounding = len(std) * np.finfo(float).eps * float(told.diagonal().max())
+        told[np.diag_indices_from(told)] += 1.0 + rounding
+        factor = cholesky(told, lower=True, check_finite=False)
         half = solve_triangular(factor, moments * std / power, lower=True, check_finite=False)
         return std, half, factor, power
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from robots_that_learn import double_integrator
 from scipy.signal import cont2discrete, lfilter
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -233,3 +234,25 @@ def test_a_drawing_followed_without_noise_has_a_response_all_the_same(
     z = np.exp(-1j * found.response.omega_rad_s * delay * step_s)
     assert found.band_rad_s is not None
     assert np.all(np.abs(found.response.z - z) < 0.05 + 3 * np.sqrt(found.response.variance))
+
+
+@pytest.mark.parametrize("speed_m_s", [0.02, 0.1])
+def test_a_drawing_followed_slowly_and_without_noise_has_a_response_too(speed_m_s: float) -> None:
+    robot = double_integrator()
+    step_s = robot.spec.sample_time_s
+    path = travel(read_drawing(find_drawing("pear"))[:, :1], speed_m_s, 1.5, step_s)
+    path = path - path[0]
+    output = robot.run(path)
+    found = estimate_record_response(
+        [Stretch(path[:, 0], output[:, 0])],
+        step_s,
+        (robot.spec.omega_min_rad_s, 10.0),
+        robot.spec.settling_time_s,
+    )
+    assert found.response.quality.usable
+    omega, z = found.response.omega_rad_s, found.response.z
+    impulse = np.zeros((2000, 1))
+    impulse[0] = 1e-3
+    answer = double_integrator().run(impulse)[:, 0] / 1e-3
+    exact = np.exp(-1j * np.outer(omega, step_s * np.arange(2000))) @ answer
+    assert np.all(np.abs(z - exact) < 0.05 + 3 * np.sqrt(found.response.variance))
